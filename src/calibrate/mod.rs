@@ -30,9 +30,14 @@ mod tests;
 /// A positive length with unit, `12mm`, `1.2 cm` or `0.012m`, in metres; `None` when it is not a length, or has no
 /// unit.
 pub fn length_m(text: &str) -> Option<f64> {
+    any_length_m(text).filter(|length_m| *length_m > 0.0)
+}
+
+/// The same, of any sign and 0 as well.
+fn any_length_m(text: &str) -> Option<f64> {
     let (number, unit_m) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
         .into_iter()
         .find_map(|(unit, unit_m)| Some((text.trim().strip_suffix(unit)?, unit_m)))?;
     let length_m = number.trim_end().parse::<f64>().ok()? * unit_m;
-    (length_m > 0.0 && length_m.is_finite()).then_some(length_m)
+    length_m.is_finite().then_some(length_m)
 }

@@ -4,7 +4,8 @@ use super::output::{is_free, is_free_for_page, save};
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
 use super::{Failure, interrupt, output, provenance};
 use crate::excite::{
-    Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep, is_own_table,
+    Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Resolution, Signal, Spectrum, Steps, Sweep,
+    is_own_table,
 };
 use crate::report::excitation::{self, ExcitationInfo};
 use crate::series::{CurrentTable, play};
@@ -216,6 +217,11 @@ impl Common {
         Limits { current_a: self.limit, slew_a_s: self.slew }
     }
 
+    /// The signal as the file that it is for has it.
+    fn as_written(&self, signal: Signal) -> Signal {
+        signal.written_as(if play::is_play(&self.out) { Resolution::LIST } else { Resolution::TABLE })
+    }
+
     /// Enforces the limits as requested: by clipping or refusing.
     fn keep(&self, signal: &mut Signal) -> Result<Vec<Clipped>, ExciteError> {
         if self.clip {
@@ -312,7 +318,7 @@ impl ChirpArgs {
             amplitude_a: self.amplitude,
             sweep,
         };
-        let mut signal = chirp.signal(common.rate)?;
+        let mut signal = common.as_written(chirp.signal(common.rate)?);
         let clipped = common.keep(&mut signal)?;
         let words = if sweep == Sweep::Linear { "linear" } else { "logarithmic" };
         let settings = vec![line("Sweep", format!("{words}, {} Hz to {} Hz", self.from, self.to))];
@@ -335,7 +341,8 @@ impl MultisineArgs {
             amplitude_a: self.amplitude,
             phases,
         };
-        let (mut signal, lines) = multisine.signal(common.rate)?;
+        let (signal, lines) = multisine.signal(common.rate)?;
+        let mut signal = common.as_written(signal);
         let clipped = common.keep(&mut signal)?;
         let words = match phases {
             Phases::Schroeder => "Schroeder's".to_owned(),
@@ -355,7 +362,7 @@ impl StepsArgs {
         };
         let common = &self.common;
         let steps = Steps { levels_a: self.levels.clone(), hold_s: self.hold, duration_s: common.duration, order };
-        let mut signal = steps.signal(common.rate)?;
+        let mut signal = common.as_written(steps.signal(common.rate)?);
         let clipped = if common.clip {
             common.limits().clip(&mut signal)
         } else {

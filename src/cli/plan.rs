@@ -43,20 +43,25 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     if quiet { Ok(()) } else { print(&format!("{}\nwritten: {}\n", summary(&name, &plan), args.out.display())) }
 }
 
+/// Different reasons, and how often there is each.
+fn counted(all: impl Iterator<Item = impl ToString>) -> Vec<(String, usize)> {
+    let mut reasons: Vec<(String, usize)> = Vec::new();
+    for why in all.map(|why| why.to_string()) {
+        match reasons.iter_mut().find(|(reason, _)| *reason == why) {
+            Some((_, count)) => *count += 1,
+            None => reasons.push((why, 1)),
+        }
+    }
+    reasons
+}
+
 fn summary(name: &str, plan: &Plan) -> String {
     let seen = plan.poses.iter().filter(|pose| pose.is_seen()).count();
     let mut text = format!("{name}: {seen} of {} shapes are seen in all views\n\n", plan.poses.len());
     // Writing into text cannot fail.
     for (k, view) in plan.rig.views.iter().enumerate() {
         let scale = upper_median(plan.poses.iter().filter_map(|pose| pose.views.get(k)?.as_ref().ok().copied()));
-        let unseen = plan.poses.iter().filter_map(|pose| pose.views.get(k)?.as_ref().err());
-        let mut reasons: Vec<(String, usize)> = Vec::new();
-        for why in unseen.map(ToString::to_string) {
-            match reasons.iter_mut().find(|(reason, _)| *reason == why) {
-                Some((_, count)) => *count += 1,
-                None => reasons.push((why, 1)),
-            }
-        }
+        let reasons = counted(plan.poses.iter().filter_map(|pose| pose.views.get(k)?.as_ref().err()));
         let reasons: String = reasons.iter().map(|(why, count)| format!("; {count} not: {why}")).collect();
         let scale = scale.map_or_else(|| "sees none of them".to_owned(), |px| format!("{px:.2} px/mm"));
         let _ = writeln!(text, "  view {:<10} {scale}{reasons}", view.name);
@@ -78,6 +83,18 @@ fn summary(name: &str, plan: &Plan) -> String {
         let a = noise(&|pose| pose.lossless.as_ref().ok().map(of));
         let b = noise(&|pose| pose.video.as_ref().ok().map(of));
         let _ = writeln!(text, "  {name:<22} {:>12} {:>12}", formatted(a, 1.0, "°"), formatted(b, 1.0, "°"));
+    }
+    for (kind, of) in [
+        ("without loss", (|pose| pose.lossless.as_ref().err()) as fn(&Planned) -> Option<&String>),
+        ("video", |pose| pose.video.as_ref().err()),
+    ] {
+        let reasons = counted(plan.poses.iter().filter_map(of));
+        // Where there is a σ, what misses it is with the views.
+        if reasons.iter().map(|(_, count)| count).sum::<usize>() == plan.poses.len() {
+            for (why, count) in reasons {
+                let _ = writeln!(text, "  no σ {kind}: {why} ({count} shapes)");
+            }
+        }
     }
     let theta = upper_median(plan.poses.iter().filter_map(|pose| Some(pose.calibration?.0)));
     let tip = upper_median(plan.poses.iter().filter_map(|pose| Some(pose.calibration?.1)));

@@ -76,7 +76,7 @@ pub(crate) enum ExciteError {
     /// Beyond the limit of current.
     #[error("the current reaches {:.1} mA at {at_s:.3} s, the limit is {:.1} mA", value_a * 1e3, limit_a * 1e3)]
     Current {
-        /// When it is largest, seconds.
+        /// Time of the largest current, seconds.
         at_s: f64,
         /// The largest current, amperes.
         value_a: f64,
@@ -84,7 +84,11 @@ pub(crate) enum ExciteError {
         limit_a: f64,
     },
     /// Beyond the limit of slew.
-    #[error("the current changes by {slew_a_s:.3} A/s at {at_s:.3} s, the limit is {limit_a_s} A/s: an amplitude of {:.1} mA keeps it", fits_a * 1e3)]
+    #[error(
+        "the current changes by {slew_a_s:.3} A/s at {at_s:.3} s, the limit is {limit_a_s} A/s: an amplitude of {:.1} mA keeps it{}",
+        fits_a * 1e3,
+        if *.uneven { ", or a rate at which delays are whole ms, such as 250" } else { "" }
+    )]
     Slew {
         /// Time of the largest slew, seconds.
         at_s: f64,
@@ -94,6 +98,8 @@ pub(crate) enum ExciteError {
         limit_a_s: f64,
         /// Amplitude at which the same signal keeps the limit.
         fits_a: f64,
+        /// Whether delays are rounded.
+        uneven: bool,
     },
     /// A ramp that does not reach the level while it is held.
     #[error(

@@ -1,9 +1,9 @@
 //! Limits of amplifier and coils, and limiting of signals.
 
-use super::{ExciteError, Signal};
+use super::{ExciteError, Resolution, Signal};
 
 /// Relative excess over a limit attributed to rounding.
-const ROUNDING: f64 = 1e-9;
+pub(super) const ROUNDING: f64 = 1e-9;
 
 /// Limits of the current.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,7 +53,8 @@ impl Limits {
         match self.slew_a_s {
             Some(limit_a_s) if slew_a_s > limit_a_s * (1.0 + ROUNDING) => {
                 let fits_a = signal.peak_a() * limit_a_s / slew_a_s;
-                Err(ExciteError::Slew { at_s, slew_a_s, limit_a_s, fits_a })
+                let uneven = signal.resolution == Resolution::LIST;
+                Err(ExciteError::Slew { at_s, slew_a_s, limit_a_s, fits_a, uneven })
             }
             _ => Ok(()),
         }
@@ -64,8 +65,9 @@ impl Limits {
     pub(crate) fn clip(&self, signal: &mut Signal) -> Vec<Clipped> {
         let mut clipped = Vec::new();
         let before = signal.values_a.clone();
+        let most_a = signal.resolution.below(self.current_a);
         for value in &mut signal.values_a {
-            *value = value.clamp(-self.current_a, self.current_a);
+            *value = value.clamp(-most_a, most_a);
         }
         clipped.extend(changed(Change::Current, &before, signal));
         clipped.extend(self.ramp(signal));
@@ -74,15 +76,24 @@ impl Limits {
 
     /// Limits the slew of the current; see [`Limits::clip`].
     pub(crate) fn ramp(&self, signal: &mut Signal) -> Option<Clipped> {
-        let step_a = self.slew_a_s? / signal.rate.hz();
+        let slew_a_s = self.slew_a_s?;
+        // Whole steps of the file's resolution, one at least: otherwise nothing would ever change.
+        let step_a = |signal: &Signal, k: usize| {
+            signal.resolution.below(slew_a_s * signal.interval_s(k)).max(signal.resolution.current_a)
+        };
         let before = signal.values_a.clone();
-        let mut last = 0.0;
-        for value in &mut signal.values_a {
+        let mut last: f64 = 0.0;
+        let steps_a: Vec<f64> = (0..before.len()).map(|k| step_a(signal, k)).collect();
+        for (value, step_a) in signal.values_a.iter_mut().zip(steps_a) {
             last = value.clamp(last - step_a, last + step_a);
             *value = last;
         }
         let clipped = changed(Change::Slew, &before, signal);
-        while last.abs() > step_a * (1.0 + ROUNDING) {
+        loop {
+            let step_a = step_a(signal, signal.values_a.len());
+            if last.abs() <= step_a * (1.0 + ROUNDING) {
+                break;
+            }
             last -= step_a.copysign(last);
             signal.values_a.push(last);
         }
@@ -126,7 +137,7 @@ mod tests {
     use super::*;
 
     fn signal(values_a: &[f64]) -> Signal {
-        Signal { rate: "10".parse().unwrap(), values_a: values_a.to_vec() }
+        Signal { rate: "10".parse().unwrap(), values_a: values_a.to_vec(), resolution: Resolution::TABLE }
     }
 
     #[test]
@@ -154,6 +165,23 @@ mod tests {
         assert_eq!((only.what, only.samples, only.first_s, only.last_s), (Change::Current, 3, 0.1, 0.4));
         assert!((only.largest_a - 0.1).abs() < 1e-15);
         assert_eq!(limits.check(&cut), Ok(()));
+    }
+
+    /// 400 per second: delays of 2 and 3 ms by turns.
+    #[test]
+    fn a_list_keeps_the_slew_with_the_delays_that_it_has() {
+        let sine = |k: i32| 0.1 * (0.12 * f64::from(k)).sin();
+        let exact = Signal { rate: "400".parse().unwrap(), ..signal(&(0..184).map(sine).collect::<Vec<_>>()) };
+        let limits = Limits { current_a: 0.1, slew_a_s: Some(4.85) };
+        assert_eq!(limits.check(&exact), Ok(()));
+        let mut list = exact.written_as(Resolution::LIST);
+        let refused = limits.check(&list).unwrap_err().to_string();
+        assert!(refused.contains("the limit is 4.85 A/s") && refused.contains("whole ms"), "{refused}");
+        assert_eq!(limits.clip(&mut list).len(), 1);
+        assert_eq!(limits.check(&list), Ok(()));
+        // Multiples of 1 µA stay as they are when the list is written.
+        assert!(list.values_a.iter().all(|value| (value * 1e6 - (value * 1e6).round()).abs() < 1e-6));
+        assert!(list.time_s(1) == 0.003 && list.time_s(2) == 0.005);
     }
 
     #[test]

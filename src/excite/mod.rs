@@ -32,6 +32,33 @@ use crate::source::times::seconds;
 /// Most rows: an hour at 1 kHz, and a table that programs can still open.
 const MAX_SAMPLES: usize = 4_000_000;
 
+/// In which steps a file has times and currents.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Resolution {
+    /// Nanoseconds.
+    pub time_ns: i64,
+    /// Amperes; 0 for any.
+    pub current_a: f64,
+}
+
+impl Resolution {
+    /// Of a table: so fine that it does not matter.
+    pub(crate) const TABLE: Self = Self { time_ns: 1, current_a: 0.0 };
+    /// Of a list for the amplifier, whose delays are whole milliseconds.
+    pub(crate) const LIST: Self = Self { time_ns: 1_000_000, current_a: 1e-6 };
+
+    /// The nearest current that it has.
+    fn nearest(self, value_a: f64) -> f64 {
+        if self.current_a > 0.0 { (value_a / self.current_a).round() * self.current_a } else { value_a }
+    }
+
+    /// The largest that it has up to this one.
+    fn below(self, value_a: f64) -> f64 {
+        let steps = |exact: f64| (exact * (1.0 + limits::ROUNDING)).floor();
+        if self.current_a > 0.0 { steps(value_a / self.current_a) * self.current_a } else { value_a }
+    }
+}
+
 /// A current over time, at a constant rate.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Signal {
@@ -39,13 +66,21 @@ pub(crate) struct Signal {
     pub rate: FrameRate,
     /// One value per sample, amperes, each held until the next.
     pub values_a: Vec<f64>,
+    /// Of the file that it is for.
+    pub resolution: Resolution,
 }
 
 impl Signal {
+    /// As a file of this resolution has it.
+    pub(crate) fn written_as(self, resolution: Resolution) -> Self {
+        let values_a = self.values_a.into_iter().map(|value| resolution.nearest(value)).collect();
+        Self { values_a, resolution, ..self }
+    }
+
     /// A signal of `duration_s` at `rate`, each sample from its time.
     fn of(rate: FrameRate, duration_s: f64, value_a: impl Fn(f64) -> f64) -> Result<Self, ExciteError> {
         let samples = samples(rate, duration_s)?;
-        let mut signal = Self { rate, values_a: Vec::with_capacity(samples) };
+        let mut signal = Self { rate, values_a: Vec::with_capacity(samples), resolution: Resolution::TABLE };
         for k in 0..samples {
             let t_s = signal.time_s(k);
             signal.values_a.push(value_a(t_s));
@@ -55,7 +90,15 @@ impl Signal {
 
     /// Time of sample `k`, seconds; sample 0 is at 0.
     pub(crate) fn time_s(&self, k: usize) -> f64 {
-        self.rate.stamp_ns(k as u64).map_or(f64::INFINITY, seconds)
+        let step_ns = self.resolution.time_ns;
+        let rounded = |ns: i64| ns.saturating_add(step_ns / 2).div_euclid(step_ns) * step_ns;
+        self.rate.stamp_ns(k as u64).map_or(f64::INFINITY, |ns| seconds(rounded(ns)))
+    }
+
+    /// Time from the sample before `k` to it, seconds; before the first one, that to the second.
+    fn interval_s(&self, k: usize) -> f64 {
+        let k = k.max(1);
+        self.time_s(k) - self.time_s(k - 1)
     }
 
     /// Duration, seconds.
@@ -83,9 +126,10 @@ impl Signal {
     pub(crate) fn largest_slew(&self) -> (f64, f64) {
         let before = std::iter::once(&0.0).chain(&self.values_a);
         let after = self.values_a.iter().chain(std::iter::once(&0.0));
-        let steps = before.zip(after).map(|(before, after)| (after - before).abs());
-        let largest = steps.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, 0.0));
-        (largest.1 * self.rate.hz(), self.time_s(largest.0))
+        let slews =
+            before.zip(after).zip(0..).map(|((before, after), k)| ((after - before).abs() / self.interval_s(k), k));
+        let (slew_a_s, k) = slews.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0));
+        (slew_a_s, self.time_s(k))
     }
 }
 

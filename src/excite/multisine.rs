@@ -10,7 +10,7 @@
 //!
 //! The sum is scaled so that its peak is the requested amplitude.
 
-use super::{ExciteError, Signal, band, positive, samples};
+use super::{ExciteError, Resolution, Signal, band, positive, samples};
 use crate::source::FrameRate;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
@@ -92,7 +92,7 @@ impl Multisine {
         };
         let scale = self.amplitude_a / peak(&period);
         let values_a = period.iter().cycle().take(all).map(|value| value * scale).collect();
-        Ok((Signal { rate, values_a }, lines))
+        Ok((Signal { rate, values_a, resolution: Resolution::TABLE }, lines))
     }
 }
 

@@ -59,6 +59,7 @@ impl Spectrum {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::excite::Resolution;
     use std::f64::consts::TAU;
 
     #[test]
@@ -67,7 +68,7 @@ mod tests {
             let hz = 5.0 * 60.0 / f64::from(n);
             let values_a =
                 (0..n).map(|k| 0.02 + 0.1 * (TAU * hz * f64::from(k) / 60.0 + 0.3).sin()).collect::<Vec<_>>();
-            let signal = Signal { rate: "60".parse().unwrap(), values_a };
+            let signal = Signal { rate: "60".parse().unwrap(), values_a, resolution: Resolution::TABLE };
             let spectrum = Spectrum::of(&signal);
             assert!((spectrum.power_a2[5] - 0.005).abs() < 1e-12 && (spectrum.power_a2[0] - 4e-4).abs() < 1e-12);
             let sum: f64 = spectrum.power_a2.iter().sum();

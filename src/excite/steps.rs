@@ -2,7 +2,7 @@
 //!
 //! If slew is limited, the current ramps from one level to the next ([`Limits::ramp`](super::Limits::ramp)).
 
-use super::{ExciteError, Signal, samples};
+use super::{ExciteError, Resolution, Signal, samples};
 use crate::source::FrameRate;
 
 /// Order of the levels.
@@ -62,7 +62,7 @@ impl Steps {
             }
         };
         let held = levels.into_iter().flat_map(|level| std::iter::repeat_n(level, hold.round() as usize));
-        Ok(Signal { rate, values_a: held.take(all).collect() })
+        Ok(Signal { rate, values_a: held.take(all).collect(), resolution: Resolution::TABLE })
     }
 }
 

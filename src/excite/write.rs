@@ -40,11 +40,16 @@ pub(crate) fn is_own_table(text: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::excite::Resolution;
     use crate::series::{CurrentClock, CurrentTable};
 
     #[test]
     fn the_table_is_read_back_as_it_was_made() {
-        let signal = Signal { rate: "60".parse().unwrap(), values_a: vec![0.0, 0.1, -0.05, -1e-12] };
+        let signal = Signal {
+            rate: "60".parse().unwrap(),
+            values_a: vec![0.0, 0.1, -0.05, -1e-12],
+            resolution: Resolution::TABLE,
+        };
         let text = signal.table(&["axial_a".to_owned(), "side_a".to_owned()]);
         assert!(
             text.starts_with("t_s,axial_a,side_a\r\n0.000000000,0.000000000,0\r\n0.016666667,0.100000000,0\r\n"),
@@ -62,7 +67,8 @@ mod tests {
 
     #[test]
     fn its_own_tables_are_told_from_those_of_others() {
-        let signal = Signal { rate: "60".parse().unwrap(), values_a: vec![0.0, 0.1, -0.05] };
+        let signal =
+            Signal { rate: "60".parse().unwrap(), values_a: vec![0.0, 0.1, -0.05], resolution: Resolution::TABLE };
         let own = signal.table(&["axial_a".to_owned(), "side_a".to_owned()]);
         assert!(is_own_table(&own) && is_own_table(&signal.table(&["current_a".to_owned()])));
         // Recorded, two coils in use, cut off, another table, notes.

@@ -56,6 +56,22 @@ fn a_calibration_gives_the_rig_and_a_failed_one_says_why() {
     assert_eq!((&outcome["results"], written(&outcome, folder.path()).len()), (&Value::Null, 0));
 }
 
+/// The tank is forgotten.
+#[test]
+fn doubts_of_a_calibration_are_its_warnings_and_said_once() {
+    let folder = tempfile::tempdir().unwrap();
+    run(folder.path(), CAMERA);
+    let command = "calibrate rig TREE/calibration/dev_tank/mirror --board 9x6:12mm --rig rig.toml --json";
+    let (output, outcome) = run(folder.path(), command);
+    check(&output, &outcome, "calibrate rig", 0, "good");
+    let warnings = outcome["warnings"].as_array().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    let doubt = "doubt: corners of the direct view that are neighbours are off together";
+    assert!(warnings.iter().any(|warning| warning.as_str().unwrap().starts_with(doubt)), "{outcome:#}");
+    assert_eq!(stderr.matches(doubt).count(), 1, "{stderr}");
+    assert!(!outcome["text"].as_str().unwrap().contains("doubt:"), "{outcome:#}");
+}
+
 #[test]
 fn an_identified_model_and_a_validation_are_in_the_outcome() {
     let folder = tempfile::tempdir().unwrap();

@@ -219,7 +219,7 @@ pub enum BoardError {
     },
     /// Markers that do not fit into squares.
     #[error("markers of {0} mm in squares of {1} mm: they must be smaller than the squares; the square comes first",
-        .marker_m * 1e3, .square_m * 1e3)]
+        text::mm(*.marker_m), text::mm(*.square_m))]
     MarkerSize {
         /// Side of a marker.
         marker_m: f64,

@@ -3,8 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::calibrate::any_length_m;
 use crate::calibrate::board::{Board, BoardError, Charuco, Pattern};
-use crate::calibrate::length_m;
 
 /// The expected form, for a text that is not a board.
 pub(super) fn form(text: &str) -> &'static str {
@@ -37,11 +37,17 @@ impl FromStr for Board {
     }
 }
 
+/// A length above 0; `missing` is what is wrong when it is none.
+fn length_m(text: &str, missing: &'static str) -> Result<f64, &'static str> {
+    let length_m = any_length_m(text).ok_or(missing)?;
+    if length_m > 0.0 { Ok(length_m) } else { Err("lengths must be above 0") }
+}
+
 fn chessboard(text: &str) -> Result<Board, &'static str> {
     let (corners, square) = text.split_once(':').ok_or("the size of a square is missing")?;
     let (columns, rows) =
         two_numbers(corners).ok_or("before the colon there must be two whole numbers with an x between them")?;
-    let square_m = length_m(square).ok_or("after the colon there must be a length with its unit: mm, cm or m")?;
+    let square_m = length_m(square, "after the colon there must be a length with its unit: mm, cm or m")?;
     Ok(Board { columns, rows, square_m, kind: Pattern::Chessboard })
 }
 
@@ -58,7 +64,7 @@ fn charuco(text: &str) -> Result<Board, &'static str> {
     let (Some(columns), Some(rows)) = (columns.checked_sub(1), rows.checked_sub(1)) else {
         return Err("it must have squares");
     };
-    let length = |text: &str| length_m(text).ok_or("sizes of square and marker must be lengths with unit: mm, cm or m");
+    let length = |text: &str| length_m(text, "sizes of square and marker must be lengths with unit: mm, cm or m");
     let (square_m, marker_m) = (length(square)?, length(marker)?);
     let unknown = "its dictionary is not known; OpenCV's DICT_4X4_50, DICT_5X5_100, DICT_6X6_250, DICT_7X7_1000 and so on \
                    are, DICT_ARUCO_ORIGINAL and DICT_ARUCO_MIP_36h12";
@@ -66,10 +72,13 @@ fn charuco(text: &str) -> Result<Board, &'static str> {
     Ok(Board { columns, rows, square_m, kind: Pattern::Charuco(Charuco { marker_m, dictionary, legacy }) })
 }
 
+/// In millimetres to twelve digits, so that 12 mm is not written 12.000000000000002.
+pub(super) fn mm(length_m: f64) -> f64 {
+    (length_m * 1e12).round() / 1e9
+}
+
 impl fmt::Display for Board {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // Twelve digits, so that 12 mm is not written 12.000000000000002.
-        let mm = |length_m: f64| (length_m * 1e12).round() / 1e9;
         let Self { columns, rows, square_m, kind } = self;
         match kind {
             Pattern::Chessboard => write!(f, "{columns}x{rows}:{}mm", mm(*square_m)),
@@ -79,5 +88,21 @@ impl fmt::Display for Board {
                 if *legacy { write!(f, ":legacy") } else { Ok(()) }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_that_cannot_be_are_told() {
+        let refused = |text: &str| text.parse::<Board>().unwrap_err().to_string();
+        for text in ["9x6:0mm", "9x6:-1cm", "charuco:9x6:12mm:0mm:DICT_4X4_50"] {
+            assert!(refused(text).contains(": lengths must be above 0."), "{}", refused(text));
+        }
+        assert!(refused("9x6:12").contains("a length with its unit"), "{}", refused("9x6:12"));
+        let large = refused("charuco:9x6:12mm:13mm:DICT_4X4_50");
+        assert!(large.starts_with("markers of 13 mm in squares of 12 mm: "), "{large}");
     }
 }

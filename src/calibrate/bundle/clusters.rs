@@ -32,6 +32,16 @@ const PRIOR_PICTURES: f64 = 4.0;
 /// determines, leaving it out tells nothing.
 const MIN_OTHERS: f64 = 0.01;
 
+/// What one picture says of the shared unknowns, its pose eliminated, in coordinates in which independent corners would
+/// give unit covariance.
+#[derive(Debug, Clone)]
+pub(crate) struct Part {
+    /// Its part of the information; those of all pictures and of the priors add up to 1.
+    pub(crate) information: DMatrix<f64>,
+    /// Its pull on the solution; alone it would move it by information⁻¹ · pull.
+    pub(crate) pull: DVector<f64>,
+}
+
 /// Uncertainty of the shared unknowns.
 #[derive(Debug, Clone)]
 pub(crate) struct Clustered {
@@ -42,9 +52,8 @@ pub(crate) struct Clustered {
     /// The covariance according to the equations, with pictures and priors weighted as they are, see
     /// [`Self::design_effect`].
     pub(crate) weighted: DMatrix<f64>,
-    /// For each picture, its pull on the unknowns, in coordinates in which independent corners would give unit
-    /// covariance; enlarged for few pictures.
-    pub(crate) pulls: Vec<DVector<f64>>,
+    /// For each picture, what it says.
+    pub(crate) parts: Vec<Part>,
     /// Ratio of the variance to that of independent corners, over all directions; 1 or more.
     pub(crate) design_effect: f64,
 }
@@ -58,25 +67,27 @@ impl Clustered {
         let unknowns = equations.information()?;
         let size = unknowns.nrows();
         let whitening = unknowns.cholesky()?.l().solve_lower_triangular(&DMatrix::identity(size, size))?;
-        let pictures: Vec<(DMatrix<f64>, DVector<f64>)> = equations
+        let parts: Vec<Part> = equations
             .by_block()?
             .into_iter()
-            .map(|(information, pull)| (&whitening * information * whitening.transpose(), &whitening * pull))
+            .map(|(information, pull)| Part {
+                information: &whitening * information * whitening.transpose(),
+                pull: &whitening * pull,
+            })
             .collect();
-        let count = pictures.len() as f64;
+        let count = parts.len() as f64;
         // In whitened unknowns, the information from the pictures and from the priors.
         let nothing = || DMatrix::<f64>::zeros(size, size);
-        let seen = pictures.iter().fold(nothing(), |sum, (part, _)| sum + part);
+        let seen = parts.iter().fold(nothing(), |sum, part| sum + &part.information);
         let prior = DMatrix::identity(size, size) - &seen;
         let enlarged = |power: f64| {
-            pictures.iter().map(move |(part, pull)| {
-                let own = part.clone().symmetric_eigen();
+            parts.iter().map(move |Part { information, pull }| {
+                let own = information.clone().symmetric_eigen();
                 let by = own.eigenvalues.map(|part| (1.0 - part).max(MIN_OTHERS).powf(power));
                 &own.eigenvectors * (own.eigenvectors.tr_mul(pull)).component_mul(&by)
             })
         };
-        let pulls: Vec<DVector<f64>> = enlarged(-0.5).collect();
-        let squares: f64 = pulls.iter().map(DVector::norm_squared).sum();
+        let squares: f64 = enlarged(-0.5).map(|pull| pull.norm_squared()).sum();
         let design_effect = if seen.trace() > 0.0 { (squares / seen.trace()).max(1.0) } else { 1.0 };
 
         let moves: Vec<DVector<f64>> = enlarged(-1.0).collect();
@@ -90,7 +101,7 @@ impl Clustered {
             covariance: back(together + &prior * prior_weight),
             noise: back(seen + &prior * prior_weight),
             weighted: whitening.tr_mul(&whitening) * prior_weight,
-            pulls,
+            parts,
             design_effect,
         })
     }

@@ -18,7 +18,7 @@ pub(crate) mod pose;
 pub(crate) mod prior;
 pub(crate) mod shape;
 
-use crate::calibrate::bundle::clusters::Clustered;
+use crate::calibrate::bundle::clusters::{Clustered, Part};
 use crate::calibrate::bundle::prior::{Equation, Prior};
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{End, Equations, Loss, Row, SearchError, Step, minimise};
@@ -89,8 +89,8 @@ pub struct Solution {
     pub noise_covariance: DMatrix<f64>,
     /// The covariance according to the search, with pictures and priors weighted as they were.
     pub(crate) weighted_covariance: DMatrix<f64>,
-    /// For each picture, its pull on the solution, see [`Clustered::pulls`].
-    pub(crate) pulls: Vec<DVector<f64>>,
+    /// For each picture, what it says of the unknowns, see [`Clustered::parts`].
+    pub(crate) parts: Vec<Part>,
     /// Ratio of the variance to that of independent corners, over all directions of the parameters; 1 or more.
     pub design_effect: f64,
     /// For each picture, camera_from_board.
@@ -113,7 +113,7 @@ pub struct Solution {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoSolution {
     /// The initial state does not show a corner.
-    #[error("the board cannot be seen in {picture}, {why}: are tank, distances and mirrors correct?")]
+    #[error("the board cannot be seen in {picture}, {why}")]
     NotSeen {
         /// The picture's name.
         picture: String,
@@ -164,7 +164,7 @@ impl Bundle {
             weighted_covariance: of_free(&known.weighted),
             shape: at.shape,
             shape_covariance: known.covariance.fixed_view::<3, 3>(free, free).into_owned(),
-            pulls: known.pulls,
+            parts: known.parts,
             design_effect: known.design_effect,
             residuals_px: self.residuals_px(&at)?,
             corner_sd_px: sd_px,
@@ -196,7 +196,8 @@ impl Bundle {
 
     /// The minimum cost, and the noise of a corner there; `sd_px` is the noise assumed initially.
     fn searched(&self, mut sd_px: f64, prior_weight: f64, mut at: State) -> Result<(State, f64), NoSolution> {
-        let end = if self.geometry.lens.is_rational() { RATIONAL_END } else { END };
+        let becomes_rational = self.free.iter().any(|parameter| matches!(parameter, Parameter::Denominator(_)));
+        let end = if self.geometry.lens.is_rational() || becomes_rational { RATIONAL_END } else { END };
         for _ in 0..=MAX_ROUNDS {
             let equations = |at: &State| self.equations(at, sd_px, prior_weight);
             (at, _) = minimise(end, at, equations, |at, step| Ok(self.stepped(at, step)))?;

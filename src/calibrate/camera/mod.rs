@@ -56,6 +56,11 @@ impl LensModel {
             Self::Eight => 8,
         }
     }
+
+    /// Focal length and principal point, and the coefficients.
+    fn parameters(self) -> Vec<Parameter> {
+        Parameter::LENS.into_iter().take(4 + self.coefficients()).collect()
+    }
 }
 
 /// The lens and its uncertainty.
@@ -232,11 +237,6 @@ fn adjust(
     model: LensModel,
 ) -> Result<(Solution, Vec<Corner>), CameraError> {
     let places = board.centred_points();
-    let (lens, poses) = start(&places, used, size_px, model)?;
-    let spread = spread_rad(&poses);
-    if spread < MIN_TILT_RAD {
-        return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
-    }
     let corners: Vec<Corner> = used
         .iter()
         .enumerate()
@@ -245,11 +245,28 @@ fn adjust(
             Some(Corner { picture, view: 0, place: *places.get(i)?, pixel, relative_sd: 1.0 })
         })
         .collect();
-    let geometry = Geometry { lens, surfaces: Vec::new(), views: vec![("air".to_owned(), Vec::new())] };
-    let names = used.iter().map(|picture| picture.name.clone()).collect();
-    let (free, shape) = (Parameter::of_lens(&lens).to_vec(), Shape::flat(&places));
-    let bundle = Bundle { geometry, free, poses, names, corners: corners.clone(), known: Vec::new(), shape };
-    Ok((bundle.solve()?, corners))
+    let bundle = |start_model: LensModel, free: Vec<Parameter>| -> Result<Bundle, CameraError> {
+        let (lens, poses) = start(&places, used, size_px, start_model)?;
+        let spread = spread_rad(&poses);
+        if spread < MIN_TILT_RAD {
+            return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
+        }
+        let geometry = Geometry { lens, surfaces: Vec::new(), views: vec![("air".to_owned(), Vec::new())] };
+        let names = used.iter().map(|picture| picture.name.clone()).collect();
+        let shape = Shape::flat(&places);
+        Ok(Bundle { geometry, free, poses, names, corners: corners.clone(), known: Vec::new(), shape })
+    };
+    let solved = match bundle(model, model.parameters())?.solve() {
+        // OpenCV's rational lens may fold, or have a pole, just where the boards end: it is one of many that fit as well.
+        // With k4 alone there is one, and it is smooth there.
+        Err(NoSolution::NotSeen { .. }) if model == LensModel::Eight => {
+            let smooth = Parameter::LENS.into_iter().take(10).collect();
+            let smooth = bundle(LensModel::Five, smooth)?.search()?;
+            Bundle { free: model.parameters(), ..smooth }.solve()?
+        }
+        solved => solved?,
+    };
+    Ok((solved, corners))
 }
 
 /// OpenCV's solution, as the start.

@@ -116,6 +116,59 @@ fn pictures_of_two_cameras_are_told_apart() {
     assert!(names.len() == 11 && names.iter().all(|name| name.starts_with("left")), "{names:?}");
 }
 
+/// Half of the pictures enlarged about the middle, as by another focus.
+fn enlarged(set: &[BoardPicture], scale: f64, which: &[usize]) -> Vec<BoardPicture> {
+    let mut pictures = set.to_vec();
+    for i in which {
+        let picture = &mut pictures[*i];
+        let middle = Point2::from(picture.size_px.map(|size| 0.5 * (f64::from(size) - 1.0)));
+        picture.name = format!("enlarged {}", picture.name);
+        picture.image.corners.iter_mut().for_each(|(_, pixel)| *pixel = middle + (*pixel - middle) * scale);
+    }
+    pictures
+}
+
+/// Every other picture, the first half, and halves at random.
+#[test]
+fn two_settings_of_focus_are_told_apart() {
+    let all = pictures("chess_9x6.csv", [640, 480]);
+    let half = all.len() / 2;
+    for scale in [1.05, 1.1] {
+        for seed in 0..5 {
+            let mut random = gaussian(seed);
+            let mut order: Vec<(f64, usize)> = (0..all.len()).map(|i| (random(), i)).collect();
+            order.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let which: Vec<usize> = match seed {
+                0 => (0..all.len()).step_by(2).collect(),
+                1 => (0..half).collect(),
+                _ => order.iter().take(half).map(|(_, i)| *i).collect(),
+            };
+            let diagnosed = diagnosed("9x6:25mm", &enlarged(&all, scale, &which));
+            let Some(CameraDiagnostic::TwoLenses { names, .. }) = diagnosed.first() else {
+                panic!("{scale} {seed}: {diagnosed:?}")
+            };
+            let enlarged = names.iter().filter(|name| name.starts_with("enlarged")).count();
+            // Either group may be named.
+            let wrong = (names.len() - enlarged + half - enlarged).min(enlarged + half + enlarged - names.len());
+            println!("{scale} {seed}: {wrong} of {} in the wrong group", all.len());
+            assert!(wrong <= if scale > 1.07 { 1 } else { 3 }, "{scale} {seed}: {names:?}");
+        }
+    }
+}
+
+/// OpenCV's rational lens has no direction for some of the corners of this set.
+#[test]
+fn eight_coefficients_are_found_where_opencv_s_own_fold_within_the_boards() {
+    let board: Board = "charuco:18x9:20mm:15mm:DICT_4X4_250".parse().unwrap();
+    let pictures = pictures("charuco_18x9.csv", [1280, 720]);
+    let [five, eight] =
+        [LensModel::Five, LensModel::Eight].map(|lens| calibrate_camera(&board, &pictures, lens).unwrap());
+    println!("{} {} {:?} {:?}", five.corner_sd_px, eight.corner_sd_px, eight.lens, eight.left_out);
+    assert!(eight.lens.is_rational() && eight.corner_sd_px < 0.9 * five.corner_sd_px, "{}", eight.corner_sd_px);
+    let corners = eight.used.iter().flat_map(|picture| &picture.corners);
+    assert!(corners.map(|(pixel, _)| pixel).all(|pixel| eight.lens.undistort(pixel).is_some()));
+}
+
 #[test]
 fn a_bent_board_and_a_wide_angle_are_told() {
     let of_chess = diagnosed("10x7:160mm", &pictures("chess_10x7.csv", [1920, 1080]));

@@ -11,10 +11,12 @@
 //! After each step the eigenvectors of the information tell what is left open (`search.rs`); the parameter that has the
 //! largest share in such a direction stays at its start, and the rest is fitted again.
 //!
-//! σ are those of the noise, larger by √(χ²/n) where residuals are larger than it: then the model is wrong somewhere.
+//! σ are those of the noise, larger by √(χ²/n) where residuals are larger than it, and by what residuals of successive
+//! frames have in common (`correlated.rs`): then the noise is not white, or the model is wrong somewhere.
 //! What it cannot detect: stiffness and the coils' moments come as a ratio but for the weight, so that the moments are
 //! taken as given.
 
+mod correlated;
 mod moving;
 mod parameter;
 mod search;
@@ -108,6 +110,8 @@ pub struct Fit {
     pub noise: Noise,
     /// √(χ²/n): 1 when residuals are as large as the noise.
     pub misfit: f64,
+    /// How much larger σ are because residuals of successive frames are alike, at most; 1 when they are not.
+    pub widened: f64,
     /// Whether motion was used.
     pub in_motion: bool,
 }
@@ -163,7 +167,7 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
     }
     if options.only_still {
         let (start, parameters, result) = found.ok_or_else(|| wrong("no pause is long enough for a shape at rest"))?;
-        return Ok(result_of(&start, delay_s, &parameters, result, (pauses, unsettled, noise, open, false)));
+        return Ok(result_of(&start, delay_s, &parameters, result, &[], (pauses, unsettled, noise, open, false)));
     }
     // 2. motion
     let frames: usize = runs.iter().map(|run| run.sightings.len()).sum();
@@ -182,7 +186,8 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
         let model = Moving { start: &start, delay_s, parameters, runs, noise, accuracy };
         minimise(parameters, &model, start_of(&start, delay_s, parameters))
     })?;
-    let mut fit = result_of(&start, delay_s, &wanted, result, (pauses, unsettled, noise, open, true));
+    let mut fit =
+        result_of(&start, delay_s, &wanted, result, &correlated::series(runs), (pauses, unsettled, noise, open, true));
     if let Some(alignment) = fit.estimated.iter_mut().find(|e| e.parameter == Parameter::Alignment) {
         alignment.value += turned;
     }
@@ -219,6 +224,7 @@ fn result_of(
     delay_s: f64,
     parameters: &[Parameter],
     found: Found,
+    series: &[correlated::Series],
     (pauses, unsettled, noise, open, in_motion): Circumstances,
 ) -> Fit {
     let (catheter, delay_s) = with(start, delay_s, parameters, &found.coordinates);
@@ -226,19 +232,23 @@ fn result_of(
     let free = found.residuals.len().saturating_sub(count).max(1);
     let misfit = (found.residuals.norm_squared() / free as f64).sqrt();
     // Determined: the information has an inverse.
-    let covariance = found.information.cholesky().map_or_else(|| DMatrix::zeros(count, count), |c| c.inverse());
+    let inverse = found.information.clone().cholesky().map(|c| c.inverse());
+    let covariance = inverse.unwrap_or_else(|| DMatrix::zeros(count, count));
+    let widening = correlated::widening(&found, &covariance, series);
     let estimated: Vec<Estimated> = parameters
         .iter()
+        .zip(&widening)
         .enumerate()
-        .map(|(k, parameter)| {
+        .map(|(k, (parameter, widening))| {
             let (value, by) = parameter.value(found.coordinates[k]);
-            let sd = covariance[(k, k)].sqrt() * parameter.open() * by.abs() * misfit.max(1.0);
+            let sd = (covariance[(k, k)] * widening).sqrt() * parameter.open() * by.abs() * misfit.max(1.0);
             Estimated { parameter: *parameter, value, sd }
         })
         .collect();
     let correlation =
         DMatrix::from_fn(count, count, |i, j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt());
-    Fit { catheter, delay_s, estimated, correlation, open, pauses, unsettled, noise, misfit, in_motion }
+    let widened = widening.into_iter().fold(1.0, f64::max).sqrt();
+    Fit { catheter, delay_s, estimated, correlation, open, pauses, unsettled, noise, misfit, widened, in_motion }
 }
 
 /// What a catheter makes of a run, and how far off that is.

@@ -26,6 +26,8 @@ pub(super) trait Residuals: Sync {
 pub(super) struct Found {
     pub(super) coordinates: DVector<f64>,
     pub(super) residuals: DVector<f64>,
+    /// Derivatives of the residuals, in units of [`Parameter::open`].
+    pub(super) jacobian: DMatrix<f64>,
     /// In units of [`Parameter::open`].
     pub(super) information: DMatrix<f64>,
 }
@@ -102,7 +104,7 @@ pub(super) fn minimise(
             let Some(step) = matrix.cholesky().map(|matrix| matrix.solve(&gradient)) else { break };
             let predicted_decrease = step.dot(&gradient);
             if predicted_decrease < COST_TOLERANCE {
-                return Ok(Found { coordinates: at, residuals, information });
+                return Ok(Found { coordinates: at, residuals, jacobian: by, information });
             }
             let next = &at + step.component_mul(&open);
             match model.at(&next).filter(|next| next.norm_squared() < cost) {
@@ -116,7 +118,7 @@ pub(super) fn minimise(
         }
         if !moved {
             // Rounding of the model: nowhere is lower.
-            return Ok(Found { coordinates: at, residuals, information });
+            return Ok(Found { coordinates: at, residuals, jacobian: by, information });
         }
     }
     Err(SearchError::NotConverged)

@@ -47,6 +47,12 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
         })
     })?;
     print(&describe(&searched, &done))?;
+    for astray in pictures::astray(done.used.iter(), done.corner_sd_px) {
+        tracing::warn!("{astray}");
+    }
+    for diagnostic in &done.diagnostics {
+        tracing::warn!("{diagnostic}");
+    }
     let mut draft = match old {
         Some(old) => {
             if let Some(said) = left_out(&old) {
@@ -85,7 +91,7 @@ fn lens_model(text: &str) -> Result<LensModel, String> {
 }
 
 fn describe(searched: &[SearchedPicture], done: &CameraCalibration) -> String {
-    let mut text = pictures::table(searched, done.used.iter(), &done.left_out, done.corner_sd_px);
+    let mut text = pictures::table(searched, done.used.iter(), &done.left_out);
     let _ = writeln!(
         text,
         "\n{} of {} pictures used, corners good to {}\n\nlens                   value          σ   of noise   of the model",
@@ -110,10 +116,10 @@ fn describe(searched: &[SearchedPicture], done: &CameraCalibration) -> String {
         let [sd, noise, model] = sd(i + 4);
         let _ = writeln!(text, "{name:<18} {value:>9.5}  {sd:>9.5}  {noise:>9.5}  {model:>13.5}");
     }
+    if lens.is_rational() {
+        text += "k1 to k6 trade off: single ones are not determined, and their σ may be too small; only the mapping of all together is\n";
+    }
     text += "σ: how much the lens changes from picture to picture; noise: of single corners; model: what the corners of a picture \
              share (board, print, blur, lens model)\n";
-    for diagnostic in &done.diagnostics {
-        let _ = writeln!(text, "warning: {diagnostic}");
-    }
     text
 }

@@ -168,6 +168,9 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
     let provenance = provenance(args, &done, given);
     done.rig.provenance.insert("markers".into(), provenance.into());
     print(&describe(&done))?;
+    for warning in warnings(&done) {
+        tracing::warn!("{warning}");
+    }
     let written = save(&done.rig.into(), out)?;
     let mut written = format!("\n{written}\n");
     if let Some(page) = page {
@@ -410,13 +413,24 @@ fn describe(done: &Teaching) -> String {
             "exposure not known: no motion blur shows in this recording, and none is modelled (--exposure states it)"
         ),
     };
-    for measure in done.outcome.iter().flat_map(|learned| &learned.contradicted) {
-        let _ = writeln!(text, "warning: {measure}: check the given value");
-    }
     for region in &done.regions {
         let _ = writeln!(text, "{}", proposal(&done.rig, region));
     }
     text
+}
+
+/// Measures and exposures that do not look as they should.
+fn warnings(done: &Teaching) -> Vec<String> {
+    let contradicted = done.outcome.iter().flat_map(|learned| &learned.contradicted);
+    let mut all: Vec<String> = contradicted.map(|measure| format!("{measure}: check the given value")).collect();
+    for (view, info) in done.views.iter().zip(&done.rig.views) {
+        for (name, exposure) in view.classes.iter().zip(&view.exposure) {
+            if let Some(advice) = exposure.and_then(|exposure| exposure.advice()) {
+                all.push(format!("`{name}` in view `{}`: {advice}", info.name));
+            }
+        }
+    }
+    all
 }
 
 fn proposal(rig: &Rig, region: &ProposedRegion) -> String {
@@ -476,9 +490,6 @@ fn describe_colours(done: &Teaching) -> String {
                     s.d_prime,
                     verdict(s)
                 );
-            }
-            if let Some(advice) = view.exposure.get(m).copied().flatten().and_then(|e| e.advice()) {
-                let _ = writeln!(text, "warning: `{}` in view `{}`: {advice}", view.classes[m], info.name);
             }
         }
     }

@@ -98,9 +98,7 @@ pub(super) fn table<'a>(
     searched: &[SearchedPicture],
     used: impl Iterator<Item = &'a UsedPicture>,
     left_out: &[(String, impl Display)],
-    corner_sd_px: f64,
 ) -> String {
-    let mut astray = String::new();
     let mut text = String::from(
         "                                   RMS px\n\
          picture                  corners   of x or y   of a point   largest px\n",
@@ -109,27 +107,31 @@ pub(super) fn table<'a>(
         let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
         let (name, count, rms) = (&picture.name, picture.corners.len(), picture.rms_px());
         let point = rms * SQRT_2;
-        let far = |off_px: f64| off_px > OUTLIER.0.max(OUTLIER.1 * corner_sd_px);
-        let far: Vec<_> = picture.corners.iter().filter(|(_, off)| far(off.norm())).collect();
-        if let Some((at, off)) = far.iter().max_by(|a, b| a.1.norm().total_cmp(&b.1.norm())) {
-            let _ = writeln!(
-                astray,
-                "warning: {name}: {}, the worst at ({:.0}, {:.0}) by {:.1} px: hidden, shaded, or taken for another? They hardly count",
-                if far.len() == 1 {
-                    "a corner is astray".to_owned()
-                } else {
-                    format!("{} corners are astray", far.len())
-                },
-                at.x,
-                at.y,
-                off.norm()
-            );
-        }
         let _ = writeln!(text, "{name:<24} {count:>7} {rms:>11.3} {point:>12.3} {largest:>12.3}");
     }
     text += &not_found(searched);
-    text += &left_out_lines(left_out.iter().map(|(name, why)| (name.clone(), why)));
-    text + &astray
+    text + &left_out_lines(left_out.iter().map(|(name, why)| (name.clone(), why)))
+}
+
+/// A warning for every picture with corners that are far off.
+pub(super) fn astray<'a>(used: impl Iterator<Item = &'a UsedPicture>, corner_sd_px: f64) -> Vec<String> {
+    let is_far = |off_px: f64| off_px > OUTLIER.0.max(OUTLIER.1 * corner_sd_px);
+    let warning = |picture: &UsedPicture| {
+        let far: Vec<_> = picture.corners.iter().filter(|(_, off)| is_far(off.norm())).collect();
+        let (at, off) = far.iter().max_by(|a, b| a.1.norm().total_cmp(&b.1.norm()))?;
+        let what = match far.len() {
+            1 => "a corner is astray".to_owned(),
+            count => format!("{count} corners are astray"),
+        };
+        Some(format!(
+            "{}: {what}, the worst at ({:.0}, {:.0}) by {:.1} px: hidden, shaded, or taken for another? They hardly count",
+            picture.name,
+            at.x,
+            at.y,
+            off.norm()
+        ))
+    };
+    used.filter_map(warning).collect()
 }
 
 /// An RMS of one coordinate, and OpenCV's, which is of points and √2 times as large.
@@ -209,14 +211,10 @@ mod tests {
             corners: [0.1, -0.1, worst].map(corner).to_vec(),
         };
         let pictures = [picture("a.png", 0.1), picture("b.png", 17.0)];
-        let text = table(&[], pictures.iter(), &[] as &[(String, String)], 0.1);
-        let warnings: Vec<_> = text.lines().filter(|line| line.starts_with("warning")).collect();
         assert_eq!(
-            warnings,
-            [
-                "warning: b.png: a corner is astray, the worst at (312, 208) by 17.0 px: hidden, shaded, or taken for another? \
-              They hardly count"
-            ]
+            astray(pictures.iter(), 0.1),
+            ["b.png: a corner is astray, the worst at (312, 208) by 17.0 px: hidden, shaded, or taken for another? \
+              They hardly count"]
         );
     }
 

@@ -146,11 +146,14 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     let held = during("leaving out each picture in turn", quiet, || held_out(&done.solution, &done.corners));
     print(&describe(&seen, &done, judged.as_ref(), &options))?;
     print(&describe_held_out(held.iter().flatten()))?;
-    if let Some(shared) = shared_pictures(&draft, searched)? {
-        print(&shared)?;
+    for astray in pictures::astray(done.used.iter().map(|(_, picture)| picture), done.solution.corner_sd_px) {
+        tracing::warn!("{astray}");
+    }
+    for warning in other_sd(&seen, &done).into_iter().chain(shared_pictures(&draft, searched)?) {
+        tracing::warn!("{warning}");
     }
     for doubt in diagnose(&done, &held) {
-        print(&format!("doubt: {doubt}\n"))?;
+        tracing::warn!("doubt: {doubt}");
     }
     let page = calibration::page(&info(args, out, &seen, &done), &done, judged.as_ref(), &held);
     let mut rig = into_draft(draft, &done);
@@ -304,6 +307,18 @@ pub(super) fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failu
     })
 }
 
+/// A warning when points are not as accurate as they were stated to be.
+fn other_sd(seen: &Seen, done: &RigCalibration) -> Option<String> {
+    let Seen::Points { points, .. } = seen else { return None };
+    let (given_px, found_px) = (points.given_sd_px()?, done.solution.corner_sd_px);
+    let is_as_stated = (1.0 / SD_RATIO_TOLERANCE..SD_RATIO_TOLERANCE).contains(&(found_px / given_px));
+    (!is_as_stated).then(|| {
+        format!(
+            "points were stated to be good to {given_px:.2} px, but are off by {found_px:.2}: σ are based on the latter"
+        )
+    })
+}
+
 /// A warning when pictures were already used for the lens.
 fn shared_pictures(draft: &Draft, searched: &[SearchedPicture]) -> Result<Option<String>, Failure> {
     let of_lens = draft.provenance.get("camera").and_then(|camera| camera.get("inputs_sha256")?.as_table());
@@ -317,8 +332,8 @@ fn shared_pictures(draft: &Draft, searched: &[SearchedPicture]) -> Result<Option
     }
     Ok((!names.is_empty()).then(|| {
         format!(
-            "warning: {} of the pictures served for the lens too, so that what is wrong in them counts twice and σ are too small: \
-             take others ({})\n",
+            "{} of the pictures served for the lens too, so that what is wrong in them counts twice and σ are too small: \
+             take others ({})",
             names.len(),
             names.join(", ")
         )
@@ -362,12 +377,7 @@ fn provenance(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>) -> R
 }
 
 fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, options: &RigOptions) -> String {
-    let mut text = pictures::table(
-        seen.searched(),
-        done.used.iter().map(|(_, picture)| picture),
-        &done.left_out,
-        done.solution.corner_sd_px,
-    );
+    let mut text = pictures::table(seen.searched(), done.used.iter().map(|(_, picture)| picture), &done.left_out);
     let solution = &done.solution;
     let _ = writeln!(
         text,
@@ -376,16 +386,6 @@ fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, option
         seen.pictures(),
         pictures::rms(solution.corner_sd_px)
     );
-    if let Seen::Points { points, .. } = seen
-        && let Some(given_px) = points.given_sd_px()
-        && !(1.0 / SD_RATIO_TOLERANCE..SD_RATIO_TOLERANCE).contains(&(solution.corner_sd_px / given_px))
-    {
-        let _ = writeln!(
-            text,
-            "warning: points were stated to be good to {given_px:.2} px, but are off by {:.2}: σ below are based on the latter",
-            solution.corner_sd_px
-        );
-    }
     let of = |parameter: Parameter, covariance: &DMatrix<f64>| {
         let at = solution.free.iter().position(|p| *p == parameter);
         at.map_or(0.0, |i| covariance[(i, i)].sqrt())

@@ -16,6 +16,10 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 const NS_PER_S: f64 = 1e9;
+/// σ that are larger by more than this for the noise's colour are told with that.
+const WIDENED_REPORTED: f64 = 1.2;
+/// The last command is held for longer than seems meant: over so many times the longest of the others, and seconds.
+const HELD_TOO_LONG: (f64, f64) = (5.0, 1.0);
 const FILES: [&str; 3] = ["catheter.toml", "fit.csv", "fit.html"];
 
 #[derive(Debug, clap::Args)]
@@ -176,6 +180,10 @@ impl FitArgs {
         if sightings.windows(2).any(|pair| matches!(pair, [a, b] if b.time_s <= a.time_s)) {
             return Err(wrong("its frames' times do not rise: the camera's clock restarted"));
         }
+        let last_s = sightings.last().map_or(0.0, |s| s.time_s);
+        if let Some(warning) = held_too_long(&commands, last_s) {
+            tracing::warn!("{}: {warning}", table.unwrap_or(&file.to_owned()).display());
+        }
         if !sightings.iter().any(|s| s.tip.is_some()) {
             return Err(wrong("no frame has a place of the tip"));
         }
@@ -205,6 +213,14 @@ impl FitArgs {
             noise.point_m * 1e3,
             noise.angle_rad.to_degrees()
         );
+        if fit.widened > WIDENED_REPORTED {
+            let _ = writeln!(
+                text,
+                "  those of successive frames are alike (slow noise, or a model that is wrong): σ are up to {:.1} times as large as \
+                 with noise that is not",
+                fit.widened
+            );
+        }
         if fit.unsettled > 0 {
             let _ = writeln!(text, "  {} pauses had not come to rest: lengthen --settle", fit.unsettled);
         }
@@ -216,6 +232,22 @@ impl FitArgs {
         let _ = writeln!(text, "\nwritten: {} in {}", FILES.join(", "), self.out.display());
         text
     }
+}
+
+/// A warning when the last command is held for much longer than all others: probably the table ends before the run.
+/// Without current that is how tables end.
+fn held_too_long(commands: &Commands, last_s: f64) -> Option<String> {
+    let (from_s, _, held) = commands.pauses().last().filter(|(_, _, held)| *held != Vector3::zeros())?;
+    let longest_s =
+        commands.pauses().map(|(from_s, to_s, _)| to_s - from_s).filter(|s| s.is_finite()).reduce(f64::max)?;
+    let held_s = last_s - from_s;
+    (held_s > HELD_TOO_LONG.0 * longest_s && held_s > HELD_TOO_LONG.1).then(|| {
+        let [x, y, z] = (held * 1e3).into();
+        format!(
+            "its last currents ({x:.1}, {y:.1}, {z:.1} mA) are taken to be held from {from_s:.2} s to the run's end at \
+             {last_s:.2} s, no others for longer than {longest_s:.2} s: if they ended before, end the table with a row of zeros"
+        )
+    })
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
@@ -240,4 +272,23 @@ fn values(fit: &Fit) -> String {
             write!(text, "{},{unit},{value:.9e},{sd:.3e},{}\r\n", estimated.parameter.name(), correlations.join(","));
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_that_ends_before_its_run_is_told() {
+        let last = |held: f64, last_s: f64| {
+            let rows = [(1.0, 0.05), (1.5, -0.05), (2.1, held)].map(|(t, z)| (t, Vector3::new(0.0, 0.0, z)));
+            held_too_long(&Commands::new(&Catheter::prototype(), rows).unwrap(), last_s)
+        };
+        let warning = last(0.02, 5.3).unwrap();
+        assert!(warning.contains("(0.0, 0.0, 20.0 mA)") && warning.contains("from 2.10 s to the run's end at 5.30 s"));
+        assert!(warning.contains("longer than 0.60 s"), "{warning}");
+        assert_eq!((last(0.02, 5.0), last(0.0, 60.0)), (None, None));
+        let one = Commands::new(&Catheter::prototype(), [(0.0, Vector3::new(0.0, 0.0, 0.05))]).unwrap();
+        assert_eq!(held_too_long(&one, 60.0), None);
+    }
 }
