@@ -48,7 +48,7 @@ impl Colour {
         for order in 1..=most {
             let ahead: f64 = c.iter().zip(correlation[1..=order].iter().rev()).map(|(c, r)| c * r).sum();
             let reflection = -ahead / innovation;
-            if !(reflection.abs() < 1.0) {
+            if reflection.is_nan() || reflection.abs() >= 1.0 {
                 break;
             }
             c.push(0.0);

@@ -414,7 +414,7 @@ fn adjust(
         [along, error.across_px]
     });
     RayBundle {
-        geometry: Geometry::of(rig.camera.lens, &rig.surfaces, &rig.views).unwrap(),
+        geometry: Geometry::of(rig.camera.lens, &rig.surfaces, &rig.views)?,
         free: free.to_vec(),
         prior_sd: None,
         model_sd_px: model_sd_px.collect(),
