@@ -269,7 +269,7 @@ fn boards_as_people_write_them() {
     for (text, says) in [
         ("9x6", "size of a square is missing"),
         ("9x6:12", "with its unit"),
-        ("9x6:-12mm", "with its unit"),
+        ("9x6:-12mm", "above 0"),
         ("9x6:NaNmm", "with its unit"),
         ("9:12mm", "two whole numbers"),
         ("9.5x6:12mm", "two whole numbers"),
