@@ -99,7 +99,11 @@ fn the_command_tells_it_on_the_terminal_in_the_report_and_in_the_log() {
     for part in ["at 0.983 s: views direct and mirror disagree by 0.49", "catoptra calibrate mirror --from-markers"] {
         assert!(said.contains(part), "{part} is not in {said}");
     }
-    assert!(stdout(&output).contains("from 0.983 s on views direct and mirror disagree by 0.49"), "{}", stdout(&output));
+    assert!(
+        stdout(&output).contains("from 0.983 s on views direct and mirror disagree by 0.49"),
+        "{}",
+        stdout(&output)
+    );
     let report = std::fs::read_to_string(place.path("out/report.html")).unwrap();
     assert!(report.contains("<strong>The views do not fit together: see Residuals.</strong>"));
     assert!(
