@@ -27,15 +27,15 @@ pub(crate) fn repeat<T: Send>(
     of: impl Fn(&[Segment]) -> Option<T> + Sync,
 ) -> Vec<T> {
     use rayon::prelude::*;
-    let parts: Vec<(Vec<f64>, Vec<f64>)> = segments.iter().map(|s| clean_and_residual(s, model, noise)).collect();
-    let residuals: Vec<Vec<f64>> = parts.iter().map(|(_, left)| left.clone()).collect();
+    let parts = segments.iter().map(|s| clean_and_residual(s, model, noise));
+    let (clean, residuals): (Vec<_>, Vec<_>) = parts.unzip();
     let block = (BLOCK_PER_CORRELATED * Colour::of(&residuals).correlated_samples()).ceil() as usize;
     let repetition = |number: usize| {
         // Each has its own random numbers, independent of the thread.
         let mut rng = Rng::with_seed(SEED + number as u64);
         let drawn: Vec<Segment> = segments
             .iter()
-            .zip(&parts)
+            .zip(clean.iter().zip(&residuals))
             .map(|(s, (clean, left))| redrawn(s, clean, left, block, model, noise, &mut rng))
             .collect();
         of(&drawn)

@@ -83,8 +83,8 @@ impl Trend {
 
 /// Every `factor`-th sample after a low-pass filter (windowed sinc, Hamming, zero phase), the same for all signals, so
 /// that their relation is unchanged. The input, which is held from sample to sample, is averaged over the new, longer
-/// hold. Five samples of the result are lost at both ends of every segment. All segments keep to one grid: that of every
-/// `factor`-th place of the record's.
+/// hold. Five samples of the result are lost at both ends of every segment. All segments keep to one grid: that of
+/// every `factor`-th place of the record's.
 pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
     let half = HALF_TAPS * factor;
     let corner = CORNER / factor as f64;
@@ -104,19 +104,23 @@ pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record 
     let thinned = |segment: &Segment| {
         let first = segment.first.div_ceil(factor);
         let skip = first * factor - segment.first;
-        let on_grid = |signal: &[f64]| signal.get(skip..).unwrap_or_default().to_vec();
-        let input = held(&on_grid(&segment.input));
+        let input = held(from(&segment.input, skip));
         Segment {
             first: first + HALF_TAPS,
             start_s: segment.start_s + (skip + half) as f64 * period_s,
-            output: filtered(&on_grid(&segment.output)).into_iter().step_by(factor).take(input.len()).collect(),
-            instrument: segment.instrument.as_deref().map(|signal| held(&on_grid(signal))),
+            output: filtered(from(&segment.output, skip)).into_iter().step_by(factor).take(input.len()).collect(),
+            instrument: segment.instrument.as_deref().map(|signal| held(from(signal, skip))),
             input,
             from_rest: false,
         }
     };
     let segments = record.segments.iter().map(thinned).filter(|s| !s.is_empty()).collect();
     Record { name: record.name.clone(), segments }
+}
+
+/// The signal without its first samples.
+fn from(signal: &[f64], skip: usize) -> &[f64] {
+    signal.get(skip..).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -155,7 +155,8 @@ impl CurrentSource {
             }
             Self::Serial(device, baud) => {
                 let line = serial(device, *baud)?;
-                // Short, because what comes meanwhile is stamped late; not zero, because an unplugged device ends at once.
+                // Short, because what comes meanwhile is stamped late; not zero, because an unplugged device ends at
+                // once.
                 thread.spawn(move || parser.lines(line, POLL_INTERVAL, &stop))?;
             }
             Self::File(table) => {

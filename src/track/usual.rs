@@ -161,8 +161,8 @@ mod tests {
         assert!(usual.beyond(1, 0, 4.0).is_some_and(|sd| sd.abs() < 1e-9) && usual.beyond(0, 0, 8.0).is_none());
         assert!(usual.beyond(1, 0, 4.4).is_some_and(|sd| (1.8..2.0).contains(&sd)));
         assert!(!usual.is_unlike_learned());
-        // What lasts is in front of the band, or, in a noisier recording, how this one is; and what was seen counts more
-        // than what was learned.
+        // What lasts is in front of the band, or, in a noisier recording, how this one is; and what was seen counts
+        // more than what was learned.
         for _ in 0..COMPARED_FRAMES {
             usual.above(1, 1, 9.4, common);
         }

@@ -107,8 +107,8 @@ impl DesiredPath {
         Ok(Self { file: file.to_owned(), points, tangents, periods, plane, circle })
     }
 
-    /// What to say of a path whose last point is its first: the file of a closed curve, which is one command longer than
-    /// its period.
+    /// What to say of a path whose last point is its first: the file of a closed curve, which is one command longer
+    /// than its period.
     pub(crate) fn note(&self) -> Option<String> {
         let (first, second, last) = (self.points.first()?, self.points.get(1)?, self.points.last()?);
         let length = self.points.len();

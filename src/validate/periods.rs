@@ -6,9 +6,9 @@
 //! another shape than a path with several frequencies, and its lag would depend on which of its points are missing.
 //!
 //! The commands of all periods are the same, so a steady response has one phase and one middle. A phase that changes
-//! evenly means that commands were held longer or shorter than assumed, or that one of the clocks is off; a single step,
-//! that a clock jumped or commands were lost; a middle that moves, that the base frame or the camera did. Results of
-//! all periods together do not show any of this.
+//! evenly means that commands were held longer or shorter than assumed, or that one of the clocks is off; a single
+//! step, that a clock jumped or commands were lost; a middle that moves, that the base frame or the camera did. Results
+//! of all periods together do not show any of this.
 //!
 //! What it cannot detect: an error that is the same in all periods, and a step by whole periods.
 

@@ -370,8 +370,8 @@ fn weak_correlation(lag: Option<&Lag>) -> Option<String> {
     Some(format!("the motion hardly correlates with the path ({:.2}): its phase means little", weak.correlation))
 }
 
-/// Rejects a record that ends before the middle of the last period: either there are fewer periods, and what comes after
-/// them is none, or it is not all of the run.
+/// Rejects a record that ends before the middle of the last period: either there are fewer periods, and what comes
+/// after them is none, or it is not all of the run.
 fn all_periods_are_there(path: &DesiredPath, recording: &Recording, window: &Window) -> Result<(), ValidateError> {
     let last_ns = recording.frames.last().map_or(window.start_ns, |frame| frame.stamp_ns);
     let period_ns = window.at_ns(path.points.len()).saturating_sub(window.start_ns);

@@ -257,8 +257,8 @@ fn adjust(
         Ok(Bundle { geometry, free, poses, names, corners: corners.clone(), known: Vec::new(), shape })
     };
     let solved = match bundle(model, model.parameters())?.solve() {
-        // OpenCV's rational lens may fold, or have a pole, just where the boards end: it is one of many that fit as well.
-        // With k4 alone there is one, and it is smooth there.
+        // OpenCV's rational lens may fold, or have a pole, just where the boards end: it is one of many that fit as
+        // well. With k4 alone there is one, and it is smooth there.
         Err(NoSolution::NotSeen { .. }) if model == LensModel::Eight => {
             let smooth = Parameter::LENS.into_iter().take(10).collect();
             let smooth = bundle(LensModel::Five, smooth)?.search()?;

@@ -5,11 +5,12 @@
 //! Pictures are first split by what each says alone, in many ways, and the splits compared to first order about the
 //! single lens. For the best of them each group is then solved separately, and every picture moves to the lens with the
 //! smaller residual, until none changes. Any set can be split like this; two lenses are reported only if they differ by
-//! more than their covariances, which include the scatter of one camera's pictures, and fit the corners better than one.
+//! more than their covariances, which include the scatter of one camera's pictures, and fit the corners better than
+//! one.
 //!
-//! Cannot tell: groups of fewer than four pictures; lenses that differ less than other errors of the pictures. Of OpenCV's
-//! twelve pictures of one camera, half of them enlarged is detected at 5 %, at 3 % hardly. For its pair of cameras, with
-//! centres 15 px apart, a half-and-half mixture is detected.
+//! Cannot tell: groups of fewer than four pictures; lenses that differ less than other errors of the pictures. Of
+//! OpenCV's twelve pictures of one camera, half of them enlarged is detected at 5 %, at 3 % hardly. For its pair of
+//! cameras, with centres 15 px apart, a half-and-half mixture is detected.
 
 use crate::calibrate::bundle::clusters::Part;
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
@@ -25,8 +26,8 @@ const MAX_ROUNDS: usize = 8;
 const MAX_STARTS: usize = 3;
 /// Least evidence for two lenses: their difference relative to their covariances, χ² per degree of freedom, times the
 /// part by which the sum of squares of one lens exceeds that of two. Pictures of one camera, split in the worst way,
-/// reach 2.8 (four sets of photographs: 15.8 · 0.14, 13.5 · 0.21, 9.7 · 0.22, 3.7 · 0.43); with half of them enlarged by
-/// 5 % it is 4.8 and more.
+/// reach 2.8 (four sets of photographs: 15.8 · 0.14, 13.5 · 0.21, 9.7 · 0.22, 3.7 · 0.43); with half of them enlarged
+/// by 5 % it is 4.8 and more.
 const MIN_EVIDENCE: f64 = 3.75;
 /// Residuals are capped at this many σ.
 const OUTLIER: f64 = 4.0;
@@ -67,8 +68,8 @@ struct Split {
 
 /// Splits of the pictures to start from, the most promising first: whether each picture is in the first group.
 ///
-/// In every direction in which the pictures' pulls differ, and along every unknown, the pictures are put in the order of
-/// what each says alone, and parted at every gap.
+/// In every direction in which the pictures' pulls differ, and along every unknown, the pictures are put in the order
+/// of what each says alone, and parted at every gap.
 fn starts(parts: &[Part]) -> Vec<Vec<bool>> {
     let Some(size) = parts.first().map(|part| part.pull.len()) else { return Vec::new() };
     let pulls = DMatrix::from_fn(parts.len(), size, |row, column| parts.get(row).map_or(0.0, |part| part.pull[column]));

@@ -5,9 +5,9 @@
 //!
 //! With derivatives J and C = (JᵀJ)⁻¹, errors e of the frames move a parameter by aᵀe, a being its column of J C. For
 //! independent errors of variance 1 that has the variance aᵀa; for a stationary error with the autocorrelation ρ it is
-//! Σ a(t) a(t + k) ρ(k) over all pairs of frames. So slow errors widen what slow changes tell, and hardly the damping. ρ is
-//! that of all residuals together, up to the first lag at which it is not clearly above 0: errors of the model that
-//! change slowly count as well.
+//! Σ a(t) a(t + k) ρ(k) over all pairs of frames. So slow errors widen what slow changes tell, and hardly the damping.
+//! ρ is that of all residuals together, up to the first lag at which it is not clearly above 0: errors of the model
+//! that change slowly count as well.
 //!
 //! Cannot tell: errors that last as long as the runs themselves.
 

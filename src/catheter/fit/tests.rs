@@ -101,7 +101,8 @@ fn parameters_of_simulated_experiments_come_back_within_their_sigma() {
     assert!(all.iter().all(|z| z.abs() < 4.0), "{all:?}");
 }
 
-/// The same for noise of frames that hangs together, and for noise that does not: RMS of (found − true)/σ over 60 seeds.
+/// The same for noise of frames that hangs together, and for noise that does not: RMS of (found − true)/σ over 60
+/// seeds.
 #[test]
 fn sigma_covers_noise_that_hangs_together() {
     let (catheter, delay_s) = truth();
@@ -136,7 +137,6 @@ fn sigma_covers_noise_that_hangs_together() {
             squares += off.component_mul(&off).component_div(&predicted);
         }
         let rms = (squares / 60.0).map(f64::sqrt);
-        println!("{rho}: {}", rms.transpose());
         // Of 60 seeds their own scatter is 0.09.
         assert!(rms.iter().all(|z| (0.7..1.35).contains(z)), "{rho}: {rms}");
     }
