@@ -11,7 +11,8 @@
 //! lies on the lower envelope. The least offset of each second is kept for two minutes; the line is the edge of their
 //! lower convex hull that spans the middle of them (it lies below all points at the least sum of distances: Moon,
 //! Skelly and Towsley, IEEE INFOCOM 1999, doi:10.1109/INFCOM.1999.749287). In the first seconds the drift is taken as
-//! zero. An offset more than two seconds from the line (a clock that was set) begins a new fit.
+//! zero. An offset more than two seconds from the line (a clock that was set) begins a new fit, and so does a stamp
+//! earlier than the one before: the clock was set back, or that one was ahead and would hold the line down for minutes.
 
 use std::collections::VecDeque;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
@@ -77,6 +78,8 @@ pub struct ClockFit {
     /// (stamp, least offset at it) of each bin, oldest first.
     least: VecDeque<(i64, i64)>,
     last: Option<HostTime>,
+    /// The stamp of the frame before, by its own clock.
+    last_stamp_ns: Option<i64>,
     restarts: u64,
 }
 
@@ -84,12 +87,13 @@ impl ClockFit {
     /// Takes the next frame: its stamp by its own clock and its arrival by the host's.
     pub fn map(&mut self, stamp_ns: i64, arrival_ns: i64) -> HostTime {
         let offset = arrival_ns.saturating_sub(stamp_ns);
-        if let Some(expected) = self.offset_at(stamp_ns)
-            && offset.abs_diff(expected) > STEP_NS.unsigned_abs()
-        {
+        let is_far = |expected: i64| offset.abs_diff(expected) > STEP_NS.unsigned_abs();
+        let goes_back = self.last_stamp_ns.is_some_and(|last_ns| stamp_ns < last_ns);
+        if goes_back || self.offset_at(stamp_ns).is_some_and(is_far) {
             self.least.clear();
             self.restarts += 1;
         }
+        self.last_stamp_ns = Some(stamp_ns);
         self.add(stamp_ns, offset);
         let mapped = stamp_ns.saturating_add(self.offset_at(stamp_ns).unwrap_or(offset)).min(arrival_ns);
         // An improved fit may give an earlier time than the previous frame got.
@@ -117,8 +121,6 @@ impl ClockFit {
                     (*at, *least) = (stamp_ns, offset);
                 }
             }
-            // A frame out of order says nothing new.
-            Some((at, _)) if stamp_ns < *at => {}
             _ => {
                 if self.least.len() == BINS {
                     self.least.pop_front();
@@ -212,6 +214,34 @@ mod tests {
             assert!((time.stamp_ns - taken_ns).abs() < 20_000_000, "frame {k}");
         }
         assert_eq!(fit.restarts(), 1);
+    }
+
+    /// Less than the two seconds that tell another clock from a delay.
+    #[test]
+    fn a_clock_that_is_set_back_a_little_is_followed_at_once() {
+        let mut fit = ClockFit::default();
+        let mut last = i64::MIN;
+        for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(0.0, 60).enumerate() {
+            let set_back = if k >= 1800 { 980_000_000 } else { 0 };
+            let time = fit.map(stamp_ns - set_back, arrival_ns);
+            assert!(time.stamp_ns > last);
+            last = time.stamp_ns;
+            assert!((time.stamp_ns - taken_ns).abs() < 20_000_000, "frame {k}: {}", time.stamp_ns - taken_ns);
+        }
+        assert_eq!(fit.restarts(), 1);
+    }
+
+    #[test]
+    fn one_wrong_stamp_does_not_move_the_times_of_the_frames_after_it() {
+        for wrong_ns in [1_500_000_000, 40_000_000, -40_000_000, -1_500_000_000] {
+            let mut fit = ClockFit::default();
+            for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(0.0, 60).enumerate() {
+                let off_ns = if k == 1800 { wrong_ns } else { 0 };
+                let time = fit.map(stamp_ns + off_ns, arrival_ns);
+                let late_ns = time.stamp_ns - taken_ns;
+                assert!(k == 1800 || late_ns.abs() < 20_000_000, "{wrong_ns}, frame {k}: {late_ns}");
+            }
+        }
     }
 
     /// The time of day is set by an hour while a camera runs: neither arrivals nor mapped stamps change.
