@@ -1,6 +1,7 @@
 //! [`run`]: source -> tracker -> sinks, each in its own thread.
 //!
-//! In: a source, a tracker, sinks. Out: every frame of the source in every sink, in order, and a [`Summary`].
+//! In: a source, a tracker, sinks. Out: every frame of the source in every sink, in order, with the currents that the
+//! source has, and a [`Summary`].
 //!
 //! - Frames are decoded ahead of the tracker and written behind it; the channels between them are short, so that memory
 //!   holds at most a fixed number of pictures however long the run ([`MAX_PICTURES`]). The faster side waits: nothing
@@ -14,7 +15,7 @@
 use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::sink::{Sink, SinkError, plain_words};
-use crate::source::{Frame, FrameSource, SourceError, StreamFaults, Timestamp};
+use crate::source::{CurrentSample, Frame, FrameSource, SourceError, StreamFaults, Timestamp};
 use crate::tally::{Tally, Totals, missing};
 use crate::track::{TrackError, Tracker};
 use std::io;
@@ -107,7 +108,7 @@ pub fn run(
             if interrupt.load(Ordering::Relaxed) {
                 break Some(End::Interrupted);
             }
-            let Ok(frame) = frames.recv() else { break None };
+            let Ok((frame, currents)) = frames.recv() else { break None };
             let estimate = match tracker.step(&frame) {
                 Ok(estimate) => estimate,
                 Err(error) => break Some(End::Track { seq: frame.seq, stamp: frame.stamp, error }),
@@ -118,7 +119,7 @@ pub fn run(
                 tracing::debug!("frame {} at {} s: {found}", frame.seq, frame.stamp.seconds());
             }
             let totals = tally.add(&estimate).then(|| tally.totals());
-            if result_in.send(Row { estimate, frame, totals }).is_err() {
+            if result_in.send(Row { estimate, frame, totals, currents }).is_err() {
                 break Some(End::Sink);
             }
             progress(&tally);
@@ -127,8 +128,9 @@ pub fn run(
         // Without a receiver the source stops at its next frame; without a sender the sinks write what is queued and
         // finish.
         drop((frames, result_in));
-        let (source, source_end) = returned(reader.join());
-        let (sinks, mut sink_failures) = returned(writer.join());
+        let (source, currents, source_end) = returned(reader.join());
+        let (mut sinks, mut sink_failures) = returned(writer.join());
+        sink_failures.extend(write_currents(&mut sinks, &currents));
         sink_failures.extend(finish_all(sinks, &tally));
         let end = match (stopped, source_end) {
             (Some(end), _) => end,
@@ -156,12 +158,12 @@ fn describe(estimate: &Estimate, rig: &Rig) -> String {
 /// Sends on all frames while there is a receiver.
 fn read_all(
     mut source: Box<dyn FrameSource + Send>,
-    out: &SyncSender<Frame>,
-) -> (StreamFaults, Result<(), SourceError>) {
+    out: &SyncSender<(Frame, Vec<CurrentSample>)>,
+) -> (StreamFaults, Vec<CurrentSample>, Result<(), SourceError>) {
     let end = loop {
         match source.next_frame() {
             Ok(Some(frame)) => {
-                if out.send(frame).is_err() {
+                if out.send((frame, source.currents())).is_err() {
                     break Ok(());
                 }
             }
@@ -169,7 +171,7 @@ fn read_all(
             Err(error) => break Err(error),
         }
     };
-    (source.faults(), end)
+    (source.faults(), source.currents(), end)
 }
 
 /// What the sinks get for each frame.
@@ -178,6 +180,8 @@ struct Row {
     frame: Frame,
     /// The count including this frame, when it is to be reported.
     totals: Option<Totals>,
+    /// Since the frame before.
+    currents: Vec<CurrentSample>,
 }
 
 /// A sink, and whether it has worked so far.
@@ -191,7 +195,10 @@ fn write_all(
 ) -> (Vec<OpenSink>, Vec<SinkError>) {
     let mut failures = Vec::new();
     let mut sinks: Vec<OpenSink> = sinks.into_iter().map(|sink| (sink, true)).collect();
-    for Row { estimate, frame, totals } in results {
+    for Row { estimate, frame, totals, currents } in results {
+        let failed_now = write_currents(&mut sinks, &currents);
+        failed.fetch_or(!failed_now.is_empty(), Ordering::Relaxed);
+        failures.extend(failed_now);
         for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
             let written = sink.write(&estimate, Some(&frame.picture));
             if let Err(error) = written.and_then(|()| totals.iter().try_for_each(|totals| sink.write_totals(totals))) {
@@ -202,6 +209,18 @@ fn write_all(
         }
     }
     (sinks, failures)
+}
+
+/// Gives currents to all sinks that work; returns why some failed.
+fn write_currents(sinks: &mut [OpenSink], currents: &[CurrentSample]) -> Vec<SinkError> {
+    let mut failures = Vec::new();
+    for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
+        if let Err(error) = currents.iter().try_for_each(|sample| sink.write_current(sample)) {
+            *works = false;
+            failures.push(error);
+        }
+    }
+    failures
 }
 
 /// Finishes all sinks with the count of the run; returns why some failed.

@@ -3,7 +3,9 @@
 use super::Failure;
 use crate::estimate::Spot;
 use crate::rig::Rig;
-use crate::source::{self, Frame, FrameSource, Picture, PixelFormat, SourceError, SourceOptions, StreamFaults};
+use crate::source::{
+    self, CurrentSample, Frame, FrameSource, Picture, PixelFormat, SourceError, SourceOptions, StreamFaults,
+};
 use std::path::Path;
 
 /// Deviation from grey, of 255, that does not count as colour; and spread of luma that shows nothing.
@@ -166,6 +168,10 @@ impl FrameSource for Peeked {
 
     fn faults(&self) -> StreamFaults {
         self.source.faults()
+    }
+
+    fn currents(&mut self) -> Vec<CurrentSample> {
+        self.source.currents()
     }
 }
 

@@ -43,6 +43,8 @@ pub use pictures::{PictureCodec, PictureVideo};
 pub use publish::PublishSink;
 pub use udp::UdpSink;
 pub use windows::PictureCount;
+
+pub use crate::source::CurrentSample;
 pub(crate) use windows::WindowRecorder;
 
 use crate::estimate::Estimate;
@@ -98,19 +100,6 @@ pub trait Sink {
     /// # Errors
     /// [`SinkError`] when the end cannot be written.
     fn finish(&mut self, tally: &Tally) -> Result<(), SinkError>;
-}
-
-/// Currents of the coils at one moment.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CurrentSample {
-    /// When they flowed, as precisely as known, by the host's clock: nanoseconds since 1970.
-    pub host_ns: i64,
-    /// When they arrived here, by the same clock.
-    pub arrival_ns: i64,
-    /// The sender's own count, if it has one.
-    pub seq: Option<u64>,
-    /// One entry per coil, amperes.
-    pub current_a: Vec<f64>,
 }
 
 /// The frame of reference that positions and directions are written in.

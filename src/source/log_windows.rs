@@ -1,6 +1,7 @@
 //! The pictures in a log that was recorded with `--record windows`, to be tracked again.
 //!
-//! In: a log of this program. Out: a frame for every row of the log, in order, with the log's stamp, gap and host time.
+//! In: a log of this program. Out: a frame for every row of the log, in order, with the log's stamp, gap and host time,
+//! and the log's coil currents.
 //! The recorded parts of each picture are exact to the last bit; the rest is black, and [`Picture::declare_read`]
 //! refuses it. A frame whose picture was not recorded (it was not tracked, or the recorder fell behind) has no
 //! recorded part.
@@ -9,14 +10,14 @@
 //! frame arrive.
 
 use super::{
-    ChromaSiting, Clock, Colour, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat, Quantisation, Range,
-    SourceError, Span, StreamFaults, Timestamp, Transfer, Window,
+    ChromaSiting, Clock, Colour, CurrentSample, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat,
+    Quantisation, Range, SourceError, Span, StreamFaults, Timestamp, Transfer, Window,
 };
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{number, text};
 use crate::log::records::Records;
 use crate::log::schema::{Topic, WINDOW_FORMAT};
-use crate::log::typed::floats;
+use crate::log::typed::{self, floats};
 use image::codecs::png::PngDecoder;
 use image::{ColorType, ImageDecoder as _, Limits};
 use mcap::records::Record;
@@ -36,6 +37,8 @@ pub struct LogWindows {
     decoder: MessageDecoder,
     /// Rows whose picture has not been read yet, oldest first.
     rows: VecDeque<Row>,
+    /// Read and not handed out yet.
+    currents: Vec<CurrentSample>,
     /// Layout of all pictures.
     layout: Layout,
     /// Number of the last row read, in the log's own count.
@@ -77,6 +80,7 @@ impl LogWindows {
             records: Records::open(path)?,
             decoder: MessageDecoder::default(),
             rows: VecDeque::new(),
+            currents: Vec::new(),
             layout,
             last: None,
             windows_to: None,
@@ -98,6 +102,7 @@ impl LogWindows {
                 again = true;
                 source.records = Records::open(path)?;
                 (source.rows, source.windows_to) = (VecDeque::new(), None);
+                source.currents.clear();
                 continue;
             }
             if !read {
@@ -129,6 +134,13 @@ impl LogWindows {
             if let Some(row) = self.rows.iter_mut().rev().find(|row| row.seq == seq) {
                 row.windows = Some(windows);
             }
+        } else if let Some(current) = self.decoder.decoded(header.channel_id, Topic::Current, data) {
+            self.currents.extend(typed::current(&current).map(|current| CurrentSample {
+                host_ns: current.host_ns,
+                arrival_ns: current.arrival_ns,
+                seq: current.seq,
+                current_a: current.current_a,
+            }));
         }
         Ok(true)
     }
@@ -221,6 +233,10 @@ impl FrameSource for LogWindows {
 
     fn faults(&self) -> StreamFaults {
         self.faults
+    }
+
+    fn currents(&mut self) -> Vec<CurrentSample> {
+        std::mem::take(&mut self.currents)
     }
 }
 

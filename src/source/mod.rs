@@ -134,6 +134,25 @@ pub trait FrameSource {
     fn faults(&self) -> StreamFaults {
         StreamFaults::default()
     }
+
+    /// Coil currents that the source has and has not handed out yet, up to the last frame or a little beyond; at the
+    /// end, all that are left.
+    fn currents(&mut self) -> Vec<CurrentSample> {
+        Vec::new()
+    }
+}
+
+/// Currents of the coils at one moment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CurrentSample {
+    /// When they flowed, as precisely as known, by the host's clock: nanoseconds since 1970.
+    pub host_ns: i64,
+    /// When they arrived here, by the same clock.
+    pub arrival_ns: i64,
+    /// The sender's own count, if it has one.
+    pub seq: Option<u64>,
+    /// One entry per coil, amperes.
+    pub current_a: Vec<f64>,
 }
 
 /// Counts of what is wrong with a stream but does not end it.

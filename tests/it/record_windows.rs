@@ -7,7 +7,8 @@ use catoptra::pipeline::{self, End};
 use catoptra::rig::Rig;
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink};
 use catoptra::source::{
-    Frame, FrameSource, LogWindows, Picture, SourceError, Span, VideoFile, VideoOptions, Window, open_to_track,
+    CurrentSample, Frame, FrameSource, LogWindows, Picture, SourceError, Span, VideoFile, VideoOptions, Window,
+    open_to_track,
 };
 use catoptra::tally::Tally;
 use catoptra::track::{TrackOptions, Tracker};
@@ -119,6 +120,52 @@ fn a_log_with_windows_is_tracked_again_to_the_same_table() {
     assert_eq!(first, again);
     let bytes = std::fs::metadata(&log).unwrap().len();
     assert!(bytes < 120 * 50_000, "{bytes} bytes");
+}
+
+/// A live run's recording: coil currents come between the frames, and after the last.
+struct WithCurrents {
+    frames: VideoFile,
+    given: u64,
+}
+
+impl FrameSource for WithCurrents {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        self.frames.next_frame()
+    }
+
+    fn size_px(&self) -> [u32; 2] {
+        self.frames.size_px()
+    }
+
+    fn frame_count_hint(&self) -> Option<u64> {
+        None
+    }
+
+    fn currents(&mut self) -> Vec<CurrentSample> {
+        self.given += 1;
+        let sample = |seq: u64| {
+            let host_ns = seq as i64 * 5_000_000;
+            CurrentSample { host_ns, arrival_ns: host_ns + 1, seq: Some(seq), current_a: vec![0.1, seq as f64] }
+        };
+        (2 * self.given - 2..2 * self.given).map(sample).collect()
+    }
+}
+
+#[test]
+fn the_currents_of_a_log_are_in_the_log_of_its_second_tracking() {
+    let place = tempfile::tempdir().unwrap();
+    let [first, again, table] = ["first.mcap", "again.mcap", "table.csv"].map(|name| place.path().join(name));
+    let source = WithCurrents { frames: recording("planar.mkv", 200_000_000), given: 0 };
+    run(Box::new(source), &rig(), &table, Some(&first));
+    run(open_to_track(&first, Default::default()).unwrap(), &rig(), &table, Some(&again));
+    let currents = |log: &Path| -> Vec<(u64, u64, Vec<u8>)> {
+        let bytes = std::fs::read(log).unwrap();
+        let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+        let of_coils = messages.filter(|message| message.channel.topic == "/coil/current");
+        of_coils.map(|message| (message.log_time, message.publish_time, message.data.into_owned())).collect()
+    };
+    let [first, again] = [first, again].map(|log| currents(&log));
+    assert_eq!((first.len(), first == again), (28, true), "{} again", again.len());
 }
 
 /// A calibration that was refined: the windows have a margin for it.
