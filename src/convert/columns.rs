@@ -58,9 +58,9 @@ impl Cell {
     }
 }
 
-/// Names of the columns of a frame. A run whose first frame has a tick has a column of it.
-pub(super) fn names(estimate: &Estimate) -> Vec<String> {
-    table::header(estimate.markers.iter().map(|marker| marker.name.as_str()), estimate.tick.is_some())
+/// Names of the columns of a frame, with one for the tick or without.
+pub(super) fn names(estimate: &Estimate, ticks: bool) -> Vec<String> {
+    table::header(estimate.markers.iter().map(|marker| marker.name.as_str()), ticks)
 }
 
 /// The row of a frame, as in the run's table; `None` when positions or directions are unknown in `frame`.

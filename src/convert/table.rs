@@ -4,10 +4,13 @@
 use super::columns::{Cell, FileKind, Rows, names, row, write_mat};
 use super::{ConvertError, Converted, Message, Target, each_message, left_out};
 use crate::log::ros2::PROFILE;
-use crate::log::schema::Topic;
 use crate::log::schema::messages::Current;
-use crate::log::{profile, typed};
+use crate::log::schema::{OPTIONS_ATTACHMENT, Topic};
+use crate::log::{attached, profile, typed};
+use crate::plural::plural;
 use crate::sink::{OutputFrame, RosLog};
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// What is left out of each topic, and why; empty for those in the table.
@@ -34,7 +37,35 @@ fn beside(out: &Path) -> PathBuf {
     out.with_file_name(format!("{stem}-currents{ending}"))
 }
 
+/// What the columns of the tables are, as far as the first rows do not tell.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Layout {
+    /// Whether there is a column for the tick.
+    ticks: bool,
+    /// Coils of the table of currents; those of the first sample if `None`.
+    coils: Option<usize>,
+}
+
 pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Path) -> Result<Converted, ConvertError> {
+    let options = attached(path, OPTIONS_ATTACHMENT)?.and_then(|text| text.parse::<toml::Table>().ok());
+    let mut layout = Layout { ticks: options.is_some_and(|options| options.contains_key("tick_led")), coils: None };
+    // The whole log may show another layout than its beginning: then once more.
+    loop {
+        match attempt(path, target, frame, out, layout)? {
+            Ok(converted) => return Ok(converted),
+            Err(found) => layout = found,
+        }
+    }
+}
+
+/// Converts with this layout; the log's own one if it is another.
+fn attempt(
+    path: &Path,
+    target: Target,
+    frame: OutputFrame,
+    out: &Path,
+    layout: Layout,
+) -> Result<Result<Converted, Layout>, ConvertError> {
     let kind = match target {
         Target::Parquet => FileKind::Parquet,
         Target::Mat => FileKind::Mat,
@@ -43,19 +74,21 @@ pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Pat
     let wrong = |reason: String| ConvertError::Content { path: path.to_owned(), reason };
     let mut converted = Converted::default();
     let (mut frames, mut currents): (Option<Rows>, Option<Rows>) = (None, None);
-    let mut ticks = None;
+    let mut ticks = layout.ticks;
+    // Samples by their number of coils.
+    let mut samples: BTreeMap<usize, u64> = BTreeMap::new();
     let take = |message: &Message<'_>| {
         let Some(decoded) = &message.decoded else { return Ok(false) };
         if message.topic == Topic::Estimate.name() {
             let Some(estimate) = typed::estimate(decoded) else { return Ok(false) };
-            let ticks = *ticks.get_or_insert(estimate.tick.is_some());
-            let Some(row) = row(&estimate, frame, ticks) else {
+            ticks |= estimate.tick.is_some();
+            let Some(row) = row(&estimate, frame, layout.ticks) else {
                 let why = "has no places in the base frame: its rig has none; convert with --frame camera";
                 return Err(wrong(why.to_owned()));
             };
             let rows = match &mut frames {
                 Some(rows) => rows,
-                none => none.insert(Rows::begin(kind, out, names(&estimate), &row)?),
+                none => none.insert(Rows::begin(kind, out, names(&estimate, layout.ticks), &row)?),
             };
             let there = rows.width();
             if row.len() != there {
@@ -65,16 +98,16 @@ pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Pat
             rows.add(row).map(|()| true)
         } else if message.topic == Topic::Current.name() {
             let Some(current) = typed::current(decoded) else { return Ok(false) };
+            *samples.entry(current.current_a.len()).or_default() += 1;
             let row = current_row(&current);
+            let coils = layout.coils.unwrap_or(row.len() - 1);
             let rows = match &mut currents {
                 Some(rows) => rows,
-                none => none.insert(Rows::begin(kind, &beside(out), current_names(kind, row.len() - 1), &row)?),
+                None if coils != row.len() - 1 => return Ok(false),
+                none => none.insert(Rows::begin(kind, &beside(out), current_names(kind, coils), &row)?),
             };
             if row.len() != rows.width() {
-                let (there, coils) = (rows.width() - 1, row.len() - 1);
-                return Err(wrong(format!(
-                    "has currents of {there} coils, and then of {coils}: no table can hold both"
-                )));
+                return Ok(false);
             }
             converted.currents += 1;
             rows.add(row).map(|()| true)
@@ -84,6 +117,13 @@ pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Pat
         }
     };
     let (left, cut) = each_message(path, take, |_| Ok(()))?;
+    // Of several, the number that most samples have; the smaller of two.
+    let usual = samples.iter().max_by_key(|(coils, count)| (**count, Reverse(**coils))).map(|(coils, _)| *coils);
+    let odd: u64 = samples.iter().filter(|(coils, _)| Some(**coils) != usual).map(|(_, count)| count).sum();
+    let found = Layout { ticks, coils: usual.filter(|_| odd > 0) };
+    if found != layout {
+        return Ok(Err(found));
+    }
     let Some(frames) = frames else { return Err(wrong("has no frame".to_owned())) };
     converted.cut = cut;
     converted.files.push(out.to_owned());
@@ -106,9 +146,12 @@ pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Pat
     for (topic, messages) in left.into_iter().filter(|(topic, _)| listed(topic)) {
         let known = NOT_IN_A_TABLE.iter().find(|(of, _)| of.name() == topic).map(|(_, why)| *why);
         let estimate = (topic == Topic::Estimate.name()).then_some("cannot be understood");
-        converted.left_out.push(left_out(&topic, messages, known.or(estimate).unwrap_or("is no table of frames")));
+        let unusual = usual.filter(|_| odd > 0 && topic == Topic::Current.name());
+        let unusual = unusual.map(|coils| format!("not of {}, as most are", plural(coils as u64, "coil")));
+        let why = unusual.as_deref().or(known).or(estimate).unwrap_or("is no table of frames");
+        converted.left_out.push(left_out(&topic, messages, why));
     }
-    Ok(converted)
+    Ok(Ok(converted))
 }
 
 /// `host_ns` and one column per coil, as read by `catoptra live --currents` and `catoptra identify`.

@@ -4,6 +4,7 @@
 use crate::support::command::*;
 use crate::support::fixture;
 use crate::support::python::{agreed, interpreter_with};
+use catoptra::estimate::{Spot, Tick};
 use catoptra::series::CurrentTable;
 use catoptra::sink::{CsvSink, CurrentSample, McapSink, OutputFrame, Profile, Sink};
 use catoptra::tally::Tally;
@@ -72,6 +73,61 @@ fn the_table_of_a_log_is_that_of_its_run_to_the_last_byte() {
             let stamp_ns = 1_795_188_826_788_000_001 + 103 * 16_666_667;
             assert_eq!((row.time_ns, row.values_a.as_slice()), (stamp_ns + 3, &[100.0 / 3.0, -1e-7][..]));
         }
+    }
+}
+
+/// A run whose first frame was skipped or damaged: the lamp was watched all the same.
+#[test]
+fn a_tick_that_the_first_frame_lacks_has_its_column() {
+    let place = tempfile::tempdir().unwrap();
+    let rig = rig();
+    for (name, options) in [("with", "tick_led = \"1,2,3\""), ("without", "")] {
+        let file = |ending: &str| place.path().join(format!("{name}{ending}"));
+        let mut log = McapSink::of_profile(Profile::Foxglove, &file(".mcap"), &rig, "", options).unwrap();
+        let mut table = CsvSink::with_ticks(&file("-run.csv"), &rig, OutputFrame::Base).unwrap();
+        let mut tally = Tally::new(&rig);
+        for seq in 0..9 {
+            let mut estimate = fixture::eventful(seq, 0);
+            let spot = Spot { x_px: 1, y_px: 2, radius_px: 3 };
+            estimate.tick = (seq > 3).then_some(Tick { count: (seq % 2) as u8, level: 100.0, spot });
+            tally.add(&estimate);
+            log.write(&estimate, None).unwrap();
+            table.write(&estimate, None).unwrap();
+        }
+        log.finish(&tally).unwrap();
+        table.finish(&tally).unwrap();
+        ended_with(&convert(place.path(), &format!("{name}.mcap --profile csv -o {name}.csv")), 0);
+        let text = |ending: &str| std::fs::read_to_string(file(ending)).unwrap();
+        assert!(text(".csv") == text("-run.csv"), "{name}");
+        assert!(text(".csv").lines().next().unwrap().ends_with(",tick"), "{name}");
+    }
+}
+
+/// A datagram of another program among those of the amplifier: the rest is converted.
+#[test]
+fn samples_of_another_number_of_coils_are_left_out_and_named() {
+    let place = tempfile::tempdir().unwrap();
+    let rig = rig();
+    for (name, odd) in [("first", 0), ("later", 5)] {
+        let mut log = McapSink::of_profile(Profile::Foxglove, &place.path().join(name), &rig, "", "").unwrap();
+        let mut tally = Tally::new(&rig);
+        for seq in 0..9 {
+            let estimate = fixture::eventful(seq, 0);
+            tally.add(&estimate);
+            log.write(&estimate, None).unwrap();
+            let current_a = if seq == odd { vec![0.5] } else { vec![0.1, seq as f64] };
+            let ns = 1000 + seq as i64;
+            log.write_current(&CurrentSample { host_ns: ns, arrival_ns: ns, seq: None, current_a }).unwrap();
+        }
+        log.finish(&tally).unwrap();
+        let output = convert(place.path(), &format!("{name} --profile csv -o {name}.csv"));
+        ended_with(&output, 0);
+        let said = stdout(&output);
+        assert!(said.contains("9 frames, currents at 8 times"), "{said}");
+        assert!(said.contains("/coil/current, 1 message: not of 2 coils, as most are"), "{said}");
+        let currents = CurrentTable::read(&place.path().join(format!("{name}-currents.csv"))).unwrap();
+        let times: Vec<u64> = currents.rows.iter().map(|row| (row.time_ns - 1000) as u64).collect();
+        assert_eq!(times, (0..9).filter(|seq| *seq != odd).collect::<Vec<u64>>());
     }
 }
 
