@@ -14,7 +14,7 @@ use super::{Clock, SourceError, Span};
 use ffmpeg_the_third as av;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::PathBuf;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Packets of a stream whose arrival times are remembered: more than any encoder reorders.
 const MAX_ARRIVALS: usize = 64;
@@ -25,6 +25,8 @@ const MAX_UNDECODED: usize = 1000;
 const READ_AHEAD: usize = 4;
 /// Unreadable packets in a row after which the rest is given up.
 const UNREADABLE: u32 = 1000;
+/// How long a stream may go on without a picture that can be decoded. Key frames are mostly 1 to 10 s apart.
+const KEY_FRAME_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// A picture out of the decoder.
 pub(super) struct Decoded {
@@ -85,6 +87,8 @@ pub(super) struct Decoding {
     trimmed: bool,
     /// Packets read since the beginning; `None` after a jump.
     packets: Option<i64>,
+    /// Live, before the first picture: when the first packet was read, if it was.
+    awaits_first: Option<Option<Instant>>,
 }
 
 impl Decoding {
@@ -127,6 +131,7 @@ impl Decoding {
             in_turn: VecDeque::new(),
             trimmed: false,
             packets: Some(0),
+            awaits_first: (clock == Clock::Stream).then_some(None),
         })
     }
 
@@ -232,7 +237,10 @@ impl Decoding {
                 self.damage.heard(number, said);
             }
             match received {
-                Ok(()) => return Some(frame),
+                Ok(()) => {
+                    self.awaits_first = None;
+                    return Some(frame);
+                }
                 Err(av::Error::Eof) => return None,
                 Err(av::Error::Other { .. }) if !self.draining => self.feed(),
                 // While draining, a decoder that wants more input has no more frames.
@@ -266,7 +274,14 @@ impl Decoding {
     fn feed(&mut self) {
         let mut unreadable = 0;
         loop {
-            match self.next_packet() {
+            let next = if self.is_hopeless() {
+                let waited = KEY_FRAME_TIMEOUT.as_secs();
+                self.ends_early = Some(format!("no key frame in {waited} s: let the sender send them more often"));
+                Err(av::Error::Eof)
+            } else {
+                self.next_packet()
+            };
+            match next {
                 Ok(next) => {
                     let packet = &*next.packet;
                     let pts = packet.pts().or(packet.dts());
@@ -309,6 +324,14 @@ impl Decoding {
         }
     }
 
+    /// Whether a stream was read for long without a picture.
+    fn is_hopeless(&self) -> bool {
+        let first = self.awaits_first.flatten();
+        // One of few frames per minute is slow, and no more.
+        let many = self.packets.is_some_and(|packets| packets > i64::from(MAX_REORDERED));
+        many && first.is_some_and(|first| first.elapsed() > KEY_FRAME_TIMEOUT)
+    }
+
     /// The stream's next packet. Of a recording some more are read, and their check begins; live, they have not come
     /// yet.
     fn next_packet(&mut self) -> Result<InCheck, av::Error> {
@@ -329,6 +352,9 @@ impl Decoding {
             }
         }
         self.note_arrival(&packet);
+        if let Some(first) = &mut self.awaits_first {
+            first.get_or_insert_with(Instant::now);
+        }
         self.packets = self.packets.map(|packets| packets + 1);
         // An MP4's edit list may leave out frames at the end, and libav then drops them. But where the length of the
         // last frame was unknown, the list ends at its start, and it would be dropped too. Setting the flags that the
@@ -373,7 +399,10 @@ impl Decoding {
             self.undecoded.pop_last();
         }
         // At a cut the last packet is expected to be broken, and the end is reported.
-        if self.damaged_packets == 1 && self.ends_early.is_none() {
+        if self.damaged_packets == 1 && self.awaits_first.is_some() {
+            let path = self.path.display();
+            tracing::warn!("{path}: its first packets cannot be decoded ({error}); waiting for a key frame");
+        } else if self.damaged_packets == 1 && self.ends_early.is_none() {
             tracing::warn!(
                 "{}: a damaged packet after {} is left out ({error}); more are counted",
                 self.path.display(),

@@ -287,6 +287,7 @@ impl FrameSource for VideoFile {
         next
     }
 
+    /// 0 of a stream that was joined between two key frames, before its first picture.
     fn size_px(&self) -> [u32; 2] {
         self.size_px
     }
@@ -343,6 +344,9 @@ impl VideoFile {
                 }
             }
             let after = [decoded.frame.width(), decoded.frame.height()];
+            if self.size_px == [0, 0] {
+                self.size_px = after;
+            }
             if after != self.size_px && self.clock == Clock::Container {
                 return Err(SourceError::SizeChange {
                     path: self.path.clone(),

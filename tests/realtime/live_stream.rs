@@ -75,6 +75,35 @@ fn a_stream_that_is_not_there_is_named() {
     assert!(error.contains(&url) && error.contains("refused"), "{error}");
 }
 
+/// Key frames are seconds apart, and who joins comes between two of them.
+#[test]
+fn a_stream_joined_between_two_key_frames_begins_with_the_next() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("whole.ts");
+    let pts: Vec<i64> = (0..60).map(|k| 1500 * (k + 10)).collect();
+    let (time_base, size_px) = ((1, 90_000), [320, 240]);
+    write(&path, &Recording { pts: &pts, time_base, b_frames: 0, group: 600, size_px, ..Recording::default() });
+    let whole = std::fs::read(&path).unwrap();
+    // The second half has no key frame.
+    let half = whole.len() / 2 / 188 * 188;
+    let joined = folder.path().join("joined.ts");
+    std::fs::write(&joined, [&whole[half..], &whole].concat()).unwrap();
+    let open = |path: &Path| Stream::open(&format!("tcp://{}", served(path, 1)), HostClock::start(), Arc::default());
+    let mut stream = open(&joined).unwrap();
+    assert_eq!(stream.size_px(), [320, 240]);
+    let mut file = VideoFile::open(path, VideoOptions::default()).unwrap();
+    for k in 0..20 {
+        let (live, recorded) = (stream.next_frame().unwrap().unwrap(), file.next_frame().unwrap().unwrap());
+        let host = live.host.unwrap();
+        assert_eq!((live.seq, live.stamp.ns, live.gap), (k, recorded.stamp.ns, 0));
+        assert!(host.stamp_ns <= host.arrival_ns || k > 0);
+    }
+    // One that never has a key frame is not taken for one of another size.
+    std::fs::write(&joined, &whole[half..]).unwrap();
+    let error = open(&joined).err().unwrap().to_string();
+    assert!(error.contains("it ended before a key frame"), "{error}");
+}
+
 /// As senders do that say only after their first packet which time it is.
 #[test]
 fn frames_before_the_first_time_stamp_are_left_out_and_counted() {

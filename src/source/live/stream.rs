@@ -2,7 +2,7 @@
 //! (`-`).
 //!
 //! A network stream that ends or falls silent is reopened, trying once a second, until it is back or the run is
-//! stopped. Its stamps may restart: the gap before its first frame is unknown and counts as 0, the interruption is
+//! stopped. One that is joined between two key frames begins with the next. Its stamps may restart: the gap before its first frame is unknown and counts as 0, the interruption is
 //! counted ([`StreamFaults::interruptions`]). Standard input ends for good.
 
 use super::super::host::{ClockFit, HostClock};
@@ -12,11 +12,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+/// A frame, and when its packet was read.
+type Arrived = (Frame, Option<Instant>);
+
 /// A live stream.
 pub struct Stream {
     url: String,
     /// `None` while the stream is lost.
     input: Option<VideoFile>,
+    /// The first frame of a stream whose size was not known before.
+    first: Option<Arrived>,
     size_px: [u32; 2],
     clock: HostClock,
     fit: ClockFit,
@@ -32,10 +37,29 @@ impl Stream {
     /// # Errors
     /// When nobody answers, or the stream has no video.
     pub fn open(url: &str, clock: HostClock, stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
-        let input = VideoFile::stream(url)?;
+        let mut input = VideoFile::stream(url)?;
+        let mut first = None;
+        if input.size_px() == [0, 0] {
+            let unknown = |reason: String| SourceError::Stream { url: url.to_owned(), reason };
+            let frame = input.next_frame().map_err(|error| match error {
+                SourceError::Truncated { why, .. } => unknown(why),
+                SourceError::NoFrames { .. } => unknown("it ended before a key frame".to_owned()),
+                other => other,
+            })?;
+            first = frame.map(|frame| (frame, input.arrival()));
+        }
         let size_px = input.size_px();
         let (fit, past) = (ClockFit::default(), StreamFaults::default());
-        Ok(Self { url: url.to_owned(), input: Some(input), size_px, clock, fit, stop, seq: 0, past })
+        Ok(Self { url: url.to_owned(), input: Some(input), first, size_px, clock, fit, stop, seq: 0, past })
+    }
+
+    /// The next frame of the input, if there is one.
+    fn next(&mut self) -> Option<Result<Option<Arrived>, SourceError>> {
+        let input = self.input.as_mut()?;
+        Some(match self.first.take() {
+            Some(first) => Ok(Some(first)),
+            None => input.next_frame().map(|frame| frame.map(|frame| (frame, input.arrival()))),
+        })
     }
 }
 
@@ -43,13 +67,13 @@ impl FrameSource for Stream {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         let comes_back = self.url != "-";
         while !self.stop.load(Ordering::Relaxed) {
-            let Some(input) = &mut self.input else {
+            let Some(next) = self.next() else {
                 self.input = until_back(&self.url, "stream", &self.stop, || VideoFile::stream(&self.url));
                 continue;
             };
-            let reason = match input.next_frame() {
-                Ok(Some(mut frame)) => {
-                    let arrival_ns = self.clock.at_ns(input.arrival().unwrap_or_else(Instant::now));
+            let reason = match next {
+                Ok(Some((mut frame, arrival))) => {
+                    let arrival_ns = self.clock.at_ns(arrival.unwrap_or_else(Instant::now));
                     frame.host = Some(self.fit.map(frame.stamp.ns, arrival_ns));
                     frame.seq = self.seq;
                     self.seq += 1;
@@ -61,9 +85,8 @@ impl FrameSource for Stream {
                 Err(error) => error.to_string(),
             };
             tracing::warn!("{}: the stream is interrupted ({reason}); waiting for it to come back", self.url);
-            self.past.add(input.faults());
+            self.past.add(self.input.take().map(|input| input.faults()).unwrap_or_default());
             self.past.interruptions += 1;
-            self.input = None;
         }
         Ok(None)
     }
