@@ -5,9 +5,13 @@ use crate::source::host::HostClock;
 use crate::tally::{AlarmInWords, Tally, Totals};
 use hdrhistogram::Histogram;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Latencies up to ten seconds are told apart.
 const LONGEST_US: u64 = 10_000_000;
+/// So long no frame may come without being told, and so many times the step between the last two.
+const SILENCE: Duration = Duration::from_secs(2);
+const SILENCE_STEPS: u32 = 3;
 
 /// Time from a frame's arrival until its θ was sent, microseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -33,9 +37,11 @@ pub struct Status {
     pub skipped: u64,
     /// Latency of the frames since the last status.
     pub latency: Latency,
-    /// θ of the last frame and its σ, radians, if it was measured.
+    /// How long no frame has come, if that is longer than usual.
+    pub silent: Option<Duration>,
+    /// θ of the last frame and its σ, radians, if it was measured and is not [long ago](Status::silent).
     pub theta_rad: Option<(f64, f64)>,
-    /// Markers located in the last frame, and how many there are.
+    /// Markers located in the last frame, if that is not long ago, and how many there are.
     pub markers: (usize, usize),
     /// Rows that wait to be written.
     pub backlog: usize,
@@ -58,6 +64,8 @@ pub(super) struct Counters {
 struct Counts {
     tally: Tally,
     latest: Option<Arc<Estimate>>,
+    /// When that was, and how long after the one before.
+    came: Option<(Instant, Duration)>,
     reported_frames: u64,
     recent: Histogram<u64>,
     whole: Histogram<u64>,
@@ -68,7 +76,8 @@ impl Counters {
     /// When the histograms cannot be made.
     pub(super) fn new(tally: Tally, clock: HostClock) -> Result<Self, hdrhistogram::CreationError> {
         let histogram = || Histogram::new_with_bounds(1, LONGEST_US, 3);
-        let counts = Counts { tally, latest: None, reported_frames: 0, recent: histogram()?, whole: histogram()? };
+        let (recent, whole) = (histogram()?, histogram()?);
+        let counts = Counts { tally, latest: None, came: None, reported_frames: 0, recent, whole };
         Ok(Self { clock, counts: Mutex::new(counts) })
     }
 
@@ -83,13 +92,16 @@ impl Counters {
             counts.whole.saturating_record(took_us);
         }
         counts.latest = Some(Arc::clone(estimate));
+        let now = Instant::now();
+        counts.came = Some((now, counts.came.map_or(Duration::ZERO, |(last, _)| now - last)));
         due.then(|| counts.tally.totals())
     }
 
     /// How it goes; the counts of new frames begin again.
     pub(super) fn status(&self) -> Status {
         let mut counts = self.lock();
-        let latest = counts.latest.as_ref();
+        let silent = counts.came.and_then(|(last, step)| silence(last.elapsed(), step));
+        let latest = counts.latest.as_ref().filter(|_| silent.is_none());
         let located = latest.map_or(0, |e| e.markers.iter().filter(|m| m.position.is_ok()).count());
         let angle = latest.and_then(|e| e.deflection.as_ref().ok());
         let skipped =
@@ -100,6 +112,7 @@ impl Counters {
             lost: counts.tally.lost,
             skipped: skipped.unwrap_or(0),
             latency: latency(&counts.recent),
+            silent,
             theta_rad: angle.map(|d| (d.theta_rad, d.theta_sd_rad)),
             markers: (located, counts.tally.markers.len()),
             alarms: counts.tally.alarms().collect(),
@@ -121,7 +134,25 @@ impl Counters {
     }
 }
 
+/// How long it has been, if that is longer than the steps between frames explain.
+fn silence(elapsed: Duration, step: Duration) -> Option<Duration> {
+    Some(elapsed).filter(|elapsed| *elapsed > SILENCE.max(step * SILENCE_STEPS))
+}
+
 fn latency(of: &Histogram<u64>) -> Latency {
     let at = |quantile: f64| if of.is_empty() { 0 } else { of.value_at_quantile(quantile) };
     Latency { p50_us: at(0.5), p99_us: at(0.99), max_us: at(1.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn silence_is_longer_than_the_camera_s_own_steps() {
+        let s = Duration::from_secs_f64;
+        assert_eq!(silence(s(1.9), s(0.017)), None);
+        assert_eq!(silence(s(2.1), s(0.017)), Some(s(2.1)));
+        assert_eq!((silence(s(14.0), s(5.0)), silence(s(16.0), s(5.0))), (None, Some(s(16.0))));
+    }
 }

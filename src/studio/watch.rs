@@ -129,6 +129,7 @@ impl Watch {
                 "frames": status.frames, "rate": status.new_frames, "lost": status.lost, "skipped": status.skipped,
                 "p50_ms": ms(status.latency.p50_us), "p99_ms": ms(status.latency.p99_us),
                 "max_ms": ms(status.latency.max_us),
+                "silent_s": status.silent.map(|silent| silent.as_secs_f64()),
                 "backlog": status.backlog, "unlogged": status.unlogged, "pictures": status.pictures,
                 "not_shown": self.latest.missed(),
                 "recording": recording,

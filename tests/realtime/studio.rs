@@ -169,6 +169,29 @@ fn recording_is_begun_and_ended_by_the_page_each_stretch_whole_and_none_over_ano
     assert!(windows >= 20 && whole + windows >= so_far, "{whole} whole, {windows} in windows, {so_far} counted");
 }
 
+/// A sender that stops sending without an end: the last θ is not passed off as that of now.
+#[cfg(unix)]
+#[test]
+fn a_source_that_falls_silent_is_told_of() {
+    let _alone = alone();
+    let place = Place::new();
+    let mut command = Command::new("sh");
+    let live = "(cat \"$1\"; sleep 8) | \"$2\" live - --rig \"$3\" -o out --studio";
+    command.current_dir(place.folder.path()).args(["-c", live, "sh"]);
+    command.arg(sample("rest.mkv")).arg(env!("CARGO_BIN_EXE_catoptra")).arg(&place.rig);
+    let studio = Studio::of_live(command);
+    let status = || studio.json("watch", &json!({ "after": null, "currents_after": null }))["status"].clone();
+    let (began, mut silent_s) = (Instant::now(), Vec::new());
+    while began.elapsed() < Duration::from_secs(6) {
+        silent_s.push(status()["silent_s"].clone());
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    assert!(silent_s[0].is_null(), "{silent_s:?}");
+    let last = silent_s.last().unwrap();
+    assert!(last.as_f64().is_some_and(|s| (2.0..9.0).contains(&s)), "{last}");
+    assert_eq!(studio.ended(), Some(0));
+}
+
 #[test]
 fn two_pages_in_a_browser_watch_and_record_and_no_row_is_lost() {
     let _alone = alone();

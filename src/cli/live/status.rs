@@ -22,6 +22,7 @@ pub(super) struct StatusLine {
     warned_alarms: usize,
     warned_short: usize,
     warned_skipped: bool,
+    warned_silent: bool,
     warned_pictures: bool,
     last: Instant,
 }
@@ -37,6 +38,7 @@ impl StatusLine {
             warned_alarms: 0,
             warned_short: 0,
             warned_skipped: false,
+            warned_silent: false,
             warned_pictures: false,
             last: Instant::now(),
         }
@@ -57,12 +59,21 @@ impl StatusLine {
             format!("θ {:+.2}° ± {:.2}", theta.to_degrees(), sd.to_degrees())
         });
         let (seen, markers) = status.markers;
+        if let Some(silent) = status.silent.filter(|_| !self.warned_silent) {
+            let waited = silent.as_secs_f64();
+            tracing::warn!("{source}: no frame has come for {waited:.0} s; the run waits");
+        }
+        self.warned_silent = status.silent.is_some();
         let ms = |us: u64| us as f64 * 1e-3;
         let (p50, p99) = (ms(status.latency.p50_us), ms(status.latency.p99_us));
         let mut text = format!(
             "{rate:5.1} Hz · {} lost · {} skipped · latency {p50:.1} ms, 99 % within {p99:.1} ms · {angle} · {seen} of {markers} markers",
             status.lost, status.skipped
         );
+        if let Some(silent) = status.silent {
+            let (lost, skipped) = (status.lost, status.skipped);
+            text = format!("no frame for {:.0} s · {lost} lost · {skipped} skipped", silent.as_secs_f64());
+        }
         if let Some(free) = free_bytes(&self.folder) {
             text += &format!(" · disk {:.1} GB", free as f64 * 1e-9);
             self.warn_of_short_disk(free);

@@ -100,6 +100,10 @@ export class Watch {
     } catch (error) {
       this.there = false;
       say(`The run is over, or the program is not reached: ${error.message}`, true);
+      this.big.textContent = "θ – not watched";
+      this.big.classList.add("bad");
+      this.said = null;
+      fill(this.alarms, el("p", { class: "bad" }, "Not known: the program does not answer."));
       setTimeout(() => this.follow(), 1000);
       return;
     }
@@ -123,7 +127,11 @@ export class Watch {
 
   take({ rows, currents, status }) {
     this.tellRecording(status.recording, status.pictures);
-    this.rows.push(...rows);
+    for (const row of rows) {
+      // A clock that was set back, or began anew: what was before has no place on its axis.
+      if (row.t_s < (this.rows.at(-1)?.t_s ?? row.t_s)) this.rows = [];
+      this.rows.push(row);
+    }
     this.currents.push(...currents);
     const last = this.rows.at(-1);
     if (!last) return;
@@ -148,8 +156,11 @@ export class Watch {
       const coils = Math.max(0, ...this.currents.map((sample) => sample.a.length));
       this.coils.set([...Array(coils).keys()].map((k) => ({ x: times, y: this.currents.map((sample) => sample.a[k] ?? null), colour: onPage(k), dash: [[], [5, 3], [2, 3]][k % 3] })));
     }
-    this.big.textContent = last.theta_deg ? `θ ${last.theta_deg[0].toFixed(2)}° ± ${last.theta_deg[1].toFixed(2)}` : `θ – ${last.status}`;
-    this.big.classList.toggle("bad", !last.theta_deg);
+    // What was measured long ago is not the angle now.
+    const silent = status.silent_s === null ? null : `no frame for ${status.silent_s.toFixed(0)} s`;
+    const now = silent === null ? last.theta_deg : null;
+    this.big.textContent = now ? `θ ${now[0].toFixed(2)}° ± ${now[1].toFixed(2)}` : `θ – ${silent ?? last.status}`;
+    this.big.classList.toggle("bad", !now);
     this.element.dataset.seq = last.seq;
     const ms = (v) => `${v.toFixed(2)} ms`;
     const figures = [
@@ -161,6 +172,7 @@ export class Watch {
     if (status.not_shown) figures.push([status.not_shown, "rows only in the log"]);
     fill(this.figures, ...figures.map(([value, name]) => el("div", {}, el("b", {}, String(value)), el("span", {}, name))));
     const words = status.alarms.map((alarm) => `${alarm.what}\n${alarm.advice}`);
+    if (silent) words.push("no frames come\nLook at the camera, its cable or the sender of the stream; the run waits for them");
     if (status.skipped) words.push("frames are passed over: the tracker does not keep up\nEnd other programs, use a smaller picture or a lower frame rate; each frame has its row all the same");
     if (status.unlogged) words.push("rows cannot be written\nThe disk is full or too slow: free some of it, or write elsewhere with -o");
     if (words.join() === this.said) return;
