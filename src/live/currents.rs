@@ -11,6 +11,9 @@
 //! unless it is 0, the host's time.
 //!
 //! A line that is no sample is counted and the first of them is named; nothing here can hold up or end a run.
+//!
+//! A serial device is mostly opened while it sends: bare numbers whose beginning was not seen (`5, 0.3` of `-0.125,
+//! 0.3`) would be a wrong current, and are left out.
 
 use super::listener::Listener;
 use crate::sink::CurrentSample;
@@ -143,6 +146,8 @@ impl CurrentSource {
             wrong: 0,
             implausible: 0,
             full: 0,
+            coils: None,
+            other_coils: 0,
             senders: BTreeMap::new(),
         };
         let stop = Arc::clone(stop);
@@ -157,15 +162,15 @@ impl CurrentSource {
                 let line = serial(device, *baud)?;
                 // Short, because what comes meanwhile is stamped late; not zero, because an unplugged device ends at
                 // once.
-                thread.spawn(move || parser.lines(line, POLL_INTERVAL, &stop))?;
+                thread.spawn(move || parser.lines(line, Start::Anywhere, POLL_INTERVAL, &stop))?;
             }
             Self::File(table) => {
                 let reader = parser.headed(File::open(table)?)?;
-                thread.spawn(move || parser.lines(reader, STOP_POLL_INTERVAL, &stop))?;
+                thread.spawn(move || parser.lines(reader, Start::OfLine, STOP_POLL_INTERVAL, &stop))?;
             }
             Self::Play { table, .. } => {
                 let reader = parser.headed(Cursor::new(table.clone()))?;
-                thread.spawn(move || parser.lines(reader, STOP_POLL_INTERVAL, &stop))?;
+                thread.spawn(move || parser.lines(reader, Start::OfLine, STOP_POLL_INTERVAL, &stop))?;
             }
             Self::Ros2 { topic, domain, everywhere } => {
                 let listener = Listener::open(topic, *domain, *everywhere)?;
@@ -218,6 +223,14 @@ struct Json {
     host_ns: Option<i64>,
 }
 
+/// Where in a line the first byte is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Start {
+    OfLine,
+    /// Possibly within one, unless there was silence before.
+    Anywhere,
+}
+
 /// Turns lines into samples.
 struct Parser {
     name: String,
@@ -230,6 +243,9 @@ struct Parser {
     wrong: u64,
     implausible: u64,
     full: u64,
+    /// Number of coils of the first sample, and how many samples have another.
+    coils: Option<usize>,
+    other_coils: u64,
     /// Who has sent datagrams, and how many.
     senders: BTreeMap<IpAddr, u64>,
 }
@@ -278,10 +294,14 @@ impl Parser {
     }
 
     /// Reads lines; at the end of what there is it waits so long, and reads on.
-    fn lines(&mut self, mut from: impl Read, idle: Duration, stop: &AtomicBool) {
+    fn lines(&mut self, mut from: impl Read, mut start: Start, idle: Duration, stop: &AtomicBool) {
         let (mut bytes, mut line) = ([0; 4096], Vec::new());
         while !stop.load(Ordering::Relaxed) {
             match from.read(&mut bytes) {
+                Ok(0) if line.is_empty() => {
+                    start = Start::OfLine;
+                    std::thread::sleep(idle);
+                }
                 // A table that counts from the start was complete before it: its last line may lack an end.
                 Ok(0) if self.is_timed_from_start() && !line.is_empty() => {
                     if self.wait_until_due(&line, stop) {
@@ -294,9 +314,14 @@ impl Parser {
                     for &byte in bytes.iter().take(length) {
                         match byte {
                             b'\n' | b'\r' => {
-                                if !line.is_empty() && self.wait_until_due(&line, stop) {
+                                // JSON shows its beginning.
+                                let whole = start == Start::OfLine || line.first() == Some(&b'{');
+                                if !whole {
+                                    self.leave_out_rest(&line);
+                                } else if !line.is_empty() && self.wait_until_due(&line, stop) {
                                     self.take(&line);
                                 }
+                                start = Start::OfLine;
                                 line.clear();
                             }
                             // What is longer is no line of ours; what is kept of it will be refused.
@@ -317,6 +342,14 @@ impl Parser {
             tracing::warn!("{}: the last line, `{}`, is not logged: it has no end", self.name, rest.escape_debug());
         }
         self.report();
+    }
+
+    /// Says that the line in which reading began is not taken.
+    fn leave_out_rest(&self, line: &[u8]) {
+        if !line.is_empty() {
+            let rest = String::from_utf8_lossy(line.get(..line.len().min(60)).unwrap_or_default());
+            tracing::info!("{}: `{}` may be the rest of a line and is not logged", self.name, rest.escape_debug());
+        }
     }
 
     /// Takes messages as they come.
@@ -370,6 +403,7 @@ impl Parser {
                 }
             }
             Some(sample) => {
+                self.count_coils(sample.current_a.len());
                 if self.samples.try_send(sample).is_err() {
                     self.full += 1;
                     if self.full == 1 {
@@ -391,6 +425,21 @@ impl Parser {
         }
     }
 
+    fn count_coils(&mut self, coils: usize) {
+        let before = *self.coils.get_or_insert(coils);
+        if coils == before {
+            return;
+        }
+        self.other_coils += 1;
+        if self.other_coils == 1 {
+            tracing::warn!(
+                "{}: the number of currents in a sample changes from {before} to {coils}: it is logged, but one table \
+                 cannot hold both; does more than one program send? More are counted",
+                self.name
+            );
+        }
+    }
+
     /// Whether the current is one that the amplifier can give, and its time one of this run. (The times of a table may
     /// be those of an earlier start of the program that writes it.)
     fn is_plausible(&self, sample: &CurrentSample) -> bool {
@@ -403,6 +452,7 @@ impl Parser {
         for (count, what) in [
             (self.wrong, "lines were no samples"),
             (self.implausible, "samples were not plausible"),
+            (self.other_coils, "samples had another number of currents than the first"),
             (self.full, "samples came faster than they were logged"),
         ] {
             if count > 1 {
@@ -462,6 +512,8 @@ pub(crate) fn currents_of(bytes: &[u8]) {
             wrong: 0,
             implausible: 0,
             full: 0,
+            coils: None,
+            other_coils: 0,
             senders: BTreeMap::new(),
         };
         bytes.split(|byte| *byte == b'\n').for_each(|line| parser.take(line));
@@ -476,10 +528,20 @@ mod tests {
 
     fn parser(columns: Option<CurrentColumns>) -> (Parser, Receiver<CurrentSample>) {
         let (samples, line) = sync_channel(16);
-        let clock = HostClock::start();
-        let name = "test".to_owned();
-        let senders = BTreeMap::new();
-        (Parser { name, clock, samples, limit_a: 10.0, columns, wrong: 0, implausible: 0, full: 0, senders }, line)
+        let parser = Parser {
+            name: "test".to_owned(),
+            clock: HostClock::start(),
+            samples,
+            limit_a: 10.0,
+            columns,
+            wrong: 0,
+            implausible: 0,
+            full: 0,
+            coils: None,
+            other_coils: 0,
+            senders: BTreeMap::new(),
+        };
+        (parser, line)
     }
 
     #[test]
@@ -579,8 +641,9 @@ mod tests {
         let (mut parser, samples) = parser(columns("t_s,i1").ok());
         let stop = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&stop);
-        let reading =
-            std::thread::spawn(move || parser.lines(Cursor::new("0,0.1\n0.05,0.2"), STOP_POLL_INTERVAL, &stop));
+        let reading = std::thread::spawn(move || {
+            parser.lines(Cursor::new("0,0.1\n0.05,0.2"), Start::OfLine, STOP_POLL_INTERVAL, &stop)
+        });
         let next = || samples.recv_timeout(Duration::from_secs(10)).unwrap().current_a;
         assert_eq!((next(), next()), (vec![0.1], vec![0.2]));
         ends.store(true, Ordering::Relaxed);
@@ -595,6 +658,61 @@ mod tests {
         let full = of("5,0.1,0.3,-0.4").unwrap();
         assert_eq!((full.host_ns, full.current_a), (5, vec![0.3, -0.4]));
         assert_eq!((of("5,0.1,0.3"), of("5,0.1,0.3,-0.4,0.5")), (None, None));
+    }
+
+    /// A device that sends all the time, opened within a line.
+    #[test]
+    fn the_rest_of_a_line_is_no_sample() {
+        for (text, expected) in [
+            ("25, 0.3\n0.01, 0.02\n", [vec![0.01, 0.02]].as_slice()),
+            ("\n0.01, 0.02\n", &[vec![0.01, 0.02]]),
+            ("{\"current_a\":[0.5]}\n0.25\n", &[vec![0.5], vec![0.25]]),
+        ] {
+            let (mut parser, samples) = parser(None);
+            let stop = Arc::new(AtomicBool::new(false));
+            let ends = Arc::clone(&stop);
+            let idle = Duration::from_millis(1);
+            let reading = std::thread::spawn(move || {
+                parser.lines(Cursor::new(text), Start::Anywhere, idle, &stop);
+                parser.wrong
+            });
+            let taken: Vec<_> =
+                expected.iter().map(|_| samples.recv_timeout(Duration::from_secs(10)).unwrap().current_a).collect();
+            assert_eq!(taken, expected, "{text}");
+            ends.store(true, Ordering::Relaxed);
+            assert_eq!((reading.join().unwrap(), samples.try_recv().ok()), (0, None), "{text}");
+        }
+    }
+
+    /// Silence before it shows that a line is whole.
+    #[test]
+    fn a_first_line_after_silence_is_a_sample() {
+        struct Device(std::vec::IntoIter<&'static str>);
+        impl Read for Device {
+            fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+                let next = self.0.next().unwrap_or_default().as_bytes();
+                bytes[..next.len()].copy_from_slice(next);
+                Ok(next.len())
+            }
+        }
+        for (reads, first) in [(vec!["", "0.1\n0.2\n"], 0.1), (vec!["0.1", "", "\n0.2\n"], 0.2)] {
+            let (mut parser, samples) = parser(None);
+            let stop = Arc::new(AtomicBool::new(false));
+            let ends = Arc::clone(&stop);
+            let device = Device(reads.into_iter());
+            let idle = Duration::from_millis(1);
+            let reading = std::thread::spawn(move || parser.lines(device, Start::Anywhere, idle, &stop));
+            assert_eq!(samples.recv_timeout(Duration::from_secs(10)).unwrap().current_a, [first]);
+            ends.store(true, Ordering::Relaxed);
+            reading.join().unwrap();
+        }
+    }
+
+    #[test]
+    fn samples_of_another_number_of_coils_are_logged_and_counted() {
+        let (mut parser, line) = parser(None);
+        ["0.1, 0.2", "0.3", "0.4, 0.5"].iter().for_each(|text| parser.take(text.as_bytes()));
+        assert_eq!((parser.coils, parser.other_coils, line.try_iter().count()), (Some(2), 1, 3));
     }
 
     #[test]
