@@ -66,6 +66,8 @@ const LONGEST_EXPOSURE_MS: f64 = 1000.0;
 const GAMMAS: std::ops::RangeInclusive<f64> = 0.2..=1.5;
 /// Nothing is further away: 100 m.
 const FARTHEST_MM: f64 = 1e5;
+/// A wider tube is a slip of the units; pictures of bands of any width cannot be made.
+const WIDEST_TUBE_MM: f64 = 1e3;
 /// Largest weight of 8-bit samples that can be computed with; learned ones are below 1.
 const LARGEST_WEIGHT: f64 = 1e3;
 /// Most corners of a region: more do not help and take long.
@@ -439,6 +441,10 @@ impl Check<'_> {
             return Err(self.no_marker());
         }
         self.positive("catheter.diameter_mm", raw.diameter_mm)?;
+        if raw.diameter_mm > WIDEST_TUBE_MM {
+            let expected = format!("at most {WIDEST_TUBE_MM}");
+            return Err(self.value("catheter.diameter_mm", raw.diameter_mm, expected));
+        }
         let index = |key: &str, name: &str| {
             markers.iter().position(|m| m.name == name).ok_or_else(|| {
                 let known = markers.iter().map(|m| m.name.as_str());

@@ -192,6 +192,7 @@ fn mistakes_are_named() {
         ("[150.0, 120.0, 40.0]", "[150.0, 420.0, 40.0]", &["marker.base.colour.rgb", "0 to 255"]),
         ("[0.012, -0.004, -0.011]", "[0.0, 0.0, 0.0]", &["marker.base.colour.discriminant_rgb", "not all zero"]),
         ("diameter_mm = 3.2", "diameter_mm = 0.0", &["catheter.diameter_mm = 0", "positive"]),
+        ("diameter_mm = 3.2", "diameter_mm = 3200000.0", &["catheter.diameter_mm = 3200000", "at most 1000"]),
         ("coil = \"coil\"", "coil = \"coill\"", &["catheter.coil = \"coill\"", "did you mean \"coil\"?"]),
         ("end = \"tip\"", "end = \"nothing\"", &["catheter.end = \"nothing\"", "base, coil, tip"]),
         ("end = \"tip\"", "end = \"coil\"", &["catheter.end = \"coil\"", "the last marker along the tube, \"tip\""]),
