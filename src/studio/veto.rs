@@ -15,6 +15,8 @@ const MAX_COMMENT_BYTES: usize = 500;
 pub(super) struct Asked {
     run: String,
     row: usize,
+    /// Number of the frame that the page shows as this row.
+    seq: Option<u64>,
     vetoed: bool,
     comment: String,
 }
@@ -24,6 +26,10 @@ pub(super) fn veto(desk: &Desk, asked: &Asked) -> Result<Reply, Refusal> {
     let run = desk.run(&asked.run)?;
     let beyond = || Refusal::wrong(format!("row {}: the run has {}", asked.row, run.rows.len()));
     let row = run.rows.get(asked.row).ok_or_else(beyond)?;
+    if asked.seq.is_some_and(|seq| seq != row.seq) {
+        let words = "the run was tracked again since the page read it: open it once more".to_owned();
+        return Err(Refusal { status: 409, words });
+    }
     let comment = asked.comment.trim();
     if comment.is_empty() || comment.len() > MAX_COMMENT_BYTES {
         let problem = format!("a comment of {} bytes: expected the reason, in 1 to {MAX_COMMENT_BYTES}", comment.len());

@@ -237,6 +237,8 @@ fn a_run_is_looked_through_and_frames_are_vetoed() {
     };
     assert_eq!(veto(7, true, " ").status, 400, "a veto has a reason");
     assert_eq!(veto(9_999_999, true, "x").status, 400);
+    let other = json!({ "run": "run", "row": 7, "seq": 8, "vetoed": true, "comment": "x" });
+    assert_eq!(studio.ask("run/veto", &other).status, 409, "the page shows another frame");
     assert_eq!(veto(7, true, "a hand <b>in</b> front").json()["vetoes"]["7"], "a hand <b>in</b> front");
     assert_eq!(veto(3, true, "bubble").status, 200);
     assert_eq!(veto(7, false, "it was frame 8").json()["vetoes"], json!({ "3": "bubble" }));
@@ -256,12 +258,26 @@ fn a_run_is_looked_through_and_frames_are_vetoed() {
     assert!(run["note"].as_str().unwrap().contains("no log.mcap") && run["t_s"].as_array().unwrap().len() == rows);
 }
 
+/// As another program may write it: the table of `run` as a run of its own, without the σ of θ.
+fn table_without_sd(folder: &Path) {
+    std::fs::create_dir(folder.join("plain")).unwrap();
+    std::fs::copy(folder.join("run/run.toml"), folder.join("plain/run.toml")).unwrap();
+    let table = std::fs::read_to_string(folder.join("run/track.csv")).unwrap();
+    let kept = |line: &str| {
+        let cells = line.split(',').enumerate().filter(|(k, _)| *k != 4).map(|(_, cell)| cell);
+        cells.collect::<Vec<_>>().join(",") + "\r\n"
+    };
+    assert!(table.starts_with("seq,t_s,stamp_ns,theta_deg,theta_sd_deg,"));
+    std::fs::write(folder.join("plain/track.csv"), table.lines().map(kept).collect::<String>()).unwrap();
+}
+
 #[test]
 fn a_browser_teaches_by_clicks_and_looks_through_a_run() {
     let Some((browser, python)) = browser_and_python() else { return };
     let folder = bench();
     let rig = file("calibration/dev_tank/rig.toml");
     catoptra(folder.path(), &["track", "planar.mkv", "--rig", rig.to_str().unwrap(), "-o", "run", "--to", "0.3"]);
+    table_without_sd(folder.path());
     let studio = Studio::start(folder.path(), &["rest.mkv", "--rig", "bare.toml"]);
     let script = file("tests/python/studio.py");
     let output = Command::new(&python)

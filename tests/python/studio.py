@@ -3,7 +3,8 @@
 
     studio.py BROWSER URL [--boards DIR] [--pictures DIR] [--measure N] [--page DIR]
 
-The studio serves the sample rest.mkv with a rig without colours as bare.toml, and the folder of a run as `run`. Prints
+The studio serves the sample rest.mkv with a rig without colours as bare.toml, and the folder of a run as `run`, and as `plain` its
+table alone, without the σ of θ. Prints
 the command that the page shows, between `command:` and `end`. With --boards, pictures of a board are dropped in. With
 --pictures it also writes the views as pictures, light and dark; with --measure it clicks N times on the bands and prints
 how long a mask took; with --page the page's own files are taken from a folder, to try them before they are built in. With --picks
@@ -114,9 +115,20 @@ def cross_to(page, x, y):
 
 def review(page):
     page.get_by_role("tab", name="Review").click()
+    # There is nothing to compare with yet.
+    page.get_by_role("button", name="Open …").nth(1).click()
+    page.get_by_role("button", name="run", exact=True).click()
+    expect(page.locator("#said")).to_contain_text("Open the run first")
+    page.get_by_role("button", name="Open …").first.click()
+    page.get_by_role("button", name="plain", exact=True).click()
+    expect(page.locator("#frame")).to_contain_text("° ± –°")
     page.get_by_role("button", name="Open …").first.click()
     page.get_by_role("button", name="run", exact=True).click()
     page.wait_for_selector(".review[data-rows]")
+    expect(page.locator("#said")).to_contain_text("run: ")
+    expect(page.locator("#frame")).not_to_contain_text("± –°")
+    page.get_by_role("button", name="Veto this frame").click()
+    expect(page.locator("#said")).to_contain_text("why this frame is not to be trusted")
     page.wait_for_selector(".review[data-row='0']")
     page.locator("#said").click()
     for _ in range(7):

@@ -86,6 +86,7 @@ export class Review {
   }
 
   async compare(path) {
+    if (!this.run) return say("Open the run first that it is to be compared with.", true);
     this.other = path ? await ask("run", { run: path }) : null;
     this.otherName.textContent = path ?? "none";
     this.plots();
@@ -151,7 +152,7 @@ export class Review {
     const found = await ask("run/frame", { run: this.path, row });
     let picture = null;
     if (found.recording) picture = await askPicture("frame", { recording: found.recording, frame: found.frame, width: null });
-    this.found = found;
+    this.found = { ...found, row };
     if (picture) this.stage.show(picture, [picture.width, picture.height]);
     else this.stage.show(null, this.stage.size);
     this.space.set(this.run.set_up, found.scene);
@@ -168,7 +169,8 @@ export class Review {
   tell() {
     const { found } = this;
     const number = (value, digits, unit) => (value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`);
-    const theta = found.theta_deg === null ? el("span", { class: "bad" }, found.status) : `${found.theta_deg.toFixed(3)}° ± ${found.sd_deg.toFixed(3)}°`;
+    const plain = (value, digits) => value?.toFixed(digits) ?? "–";
+    const theta = found.theta_deg === null ? el("span", { class: "bad" }, found.status) : `${plain(found.theta_deg, 3)}° ± ${plain(found.sd_deg, 3)}°`;
     const vetoed = this.vetoes[found.seq];
     fill(this.words,
       el("p", {}, el("b", {}, "θ "), theta, el("span", { class: "quiet" }, `   frame ${found.seq}, ${found.stamp_ns} ns`)),
@@ -178,7 +180,7 @@ export class Review {
         found.bands.map((band, m) => el("tr", {},
           el("td", {}, swatch(onPage(m)), band.name),
           el("td", { class: band.ok ? "" : "bad" }, band.ok ? `σ ${number(band.sd_mm, 3, "mm")}` : band.status),
-          ...band.views.map((seen) => el("td", { class: "number" }, seen ? `${seen.residual_px.toFixed(2)}, ${seen.sd_px.toFixed(2)} px` : "–"))))));
+          ...band.views.map((seen) => el("td", { class: "number" }, seen ? `${plain(seen.residual_px, 2)}, ${plain(seen.sd_px, 2)} px` : "–"))))));
     this.vetoButton.textContent = vetoed === undefined ? "Veto this frame" : "Take the veto back";
     const rows = Object.entries(this.vetoes);
     fill(this.list, ...(rows.length ? [el("ul", {}, rows.map(([seq, comment]) => el("li", {}, `frame ${seq}: ${comment}`)))] : []));
@@ -187,7 +189,13 @@ export class Review {
   async veto() {
     if (!this.found) return;
     const vetoed = this.vetoes[this.found.seq] === undefined;
-    const reply = await ask("run/veto", { run: this.path, row: this.row, vetoed, comment: this.comment.value });
+    if (!this.comment.value.trim()) {
+      this.comment.focus();
+      return say("Write beside it why this frame is not to be trusted, or is again.", true);
+    }
+    // The frame that is shown: another one may be on its way.
+    const { row, seq } = this.found;
+    const reply = await ask("run/veto", { run: this.path, row, seq, vetoed, comment: this.comment.value });
     this.vetoes = reply.vetoes;
     this.comment.value = "";
     say(`${vetoed ? "Vetoed" : "Taken back"}: written to ${reply.file} in ${this.path}`);
