@@ -21,7 +21,7 @@ pub(super) struct SourceArgs {
     #[arg(long, value_name = "RATE", allow_hyphen_values = true)]
     pub(super) fps: Option<FrameRate>,
     /// Camera: exposure time in milliseconds
-    #[arg(long, value_name = "MS", value_parser = positive)]
+    #[arg(long, value_name = "MS", value_parser = positive, allow_negative_numbers = true)]
     pub(super) exposure: Option<f64>,
     /// Camera: gain, in its own unit
     #[arg(long, value_name = "G", value_parser = finite, allow_negative_numbers = true)]

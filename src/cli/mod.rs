@@ -244,4 +244,19 @@ mod tests {
             }
         }
     }
+    /// A negative number is a wrong value, not an unknown option.
+    #[test]
+    fn a_negative_number_is_told_what_is_expected_instead() {
+        for words in [
+            "live - --rig r.toml --duration -1",
+            "live - --rig r.toml --exposure -3.5",
+            "live - --rig r.toml --currents udp:5006 --current-limit -1",
+            "live - --rig r.toml --record windows --keep-free -1",
+            "studio --duration -1",
+        ] {
+            let asked = ["catoptra"].into_iter().chain(words.split_whitespace());
+            let said = super::Cli::try_parse_from(asked).unwrap_err().to_string();
+            assert!(said.contains("invalid value") && said.contains("above 0"), "{words}: {said}");
+        }
+    }
 }

@@ -38,7 +38,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     from: SourceArgs,
     /// Stop after T seconds
-    #[arg(long, value_name = "T", value_parser = seconds)]
+    #[arg(long, value_name = "T", value_parser = seconds, allow_negative_numbers = true)]
     duration: Option<Duration>,
 }
 

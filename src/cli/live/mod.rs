@@ -71,7 +71,11 @@ pub(crate) struct Args {
     #[arg(long, value_name = "X,Y,R")]
     tick_led: Option<Spot>,
     /// Largest plausible current, amperes
-    #[arg(long, value_name = "A", value_parser = positive, default_value_t = 10.0, requires = "currents")]
+    #[arg(
+        long,
+        value_name = "A", value_parser = positive, default_value_t = 10.0,
+        requires = "currents", allow_negative_numbers = true,
+    )]
     current_limit: f64,
     /// Also record pictures
     #[arg(long, value_enum, value_name = "HOW")]
@@ -80,10 +84,14 @@ pub(crate) struct Args {
     #[arg(long, value_enum, value_name = "FOR", default_value_t = LogFor::Foxglove, hide_possible_values = true)]
     profile: LogFor,
     /// Record no pictures when less is free on the disk, GB [default: 2]
-    #[arg(long, value_name = "GB", value_parser = positive, requires = "record", hide = true)]
+    #[arg(
+        long,
+        value_name = "GB", value_parser = positive,
+        requires = "record", hide = true, allow_negative_numbers = true,
+    )]
     keep_free: Option<f64>,
     /// Stop after T seconds
-    #[arg(long, value_name = "T", value_parser = seconds)]
+    #[arg(long, value_name = "T", value_parser = seconds, allow_negative_numbers = true)]
     duration: Option<Duration>,
     /// Frame of table and report: base or camera
     #[arg(long, value_enum, default_value_t = Reference::Base, hide_possible_values = true)]
