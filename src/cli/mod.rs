@@ -244,6 +244,7 @@ mod tests {
             }
         }
     }
+
     /// A negative number is a wrong value, not an unknown option.
     #[test]
     fn a_negative_number_is_told_what_is_expected_instead() {

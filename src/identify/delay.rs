@@ -62,7 +62,7 @@ struct State {
 }
 
 /// Estimates the delay within [`MAX_DELAY`] periods. `segments` gives the data for a delay of the commands: the same
-/// samples for every delay. `None` when no model fits, or the best delay is outside the range.
+/// samples for every delay. `None` when no model fits, or the best delay is outside the range or uncertain by more.
 pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>> + Sync) -> Option<Delay> {
     let search = Search { period_s, segments: &segments };
     // 1. from many delays and models
@@ -88,6 +88,9 @@ pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segme
     // 3. uncertainty
     let samples: usize = segments(best.delay_s)?.iter().map(Segment::observed).sum();
     let sd_s = search.standard_error(&best)?.hypot(METHOD_ERROR * period_s);
+    if sd_s > MAX_DELAY * period_s {
+        return None;
+    }
     Some(Delay { delay_s: best.delay_s, sd_s, residual_rms: (best.cost / samples as f64).sqrt() })
 }
 
@@ -239,6 +242,19 @@ mod tests {
             let found = estimated(truth, 1);
             assert!((found.delay_s - truth).abs() < 4.0 * found.sd_s && found.sd_s < 3e-4, "{truth}: {found:?}");
         }
+    }
+
+    /// Commands that hardly move anything say nothing of the delay.
+    #[test]
+    fn a_delay_that_the_data_do_not_tell_is_none() {
+        let output = noise(3, 300);
+        let drive = |delay_s: f64| -> Vec<f64> {
+            (0..300).map(|k| 1e-12 * (TAU * 3.0 * (f64::from(k) * PERIOD_S - delay_s)).sin()).collect()
+        };
+        let found = estimate(PERIOD_S, |delay_s| {
+            Some(vec![Segment { input: drive(delay_s), output: output.clone(), ..Segment::default() }])
+        });
+        assert_eq!(found, None);
     }
 
     #[test]
