@@ -5,7 +5,7 @@
 
 use super::decompositions::eigenvalues;
 use nalgebra::{Complex, DMatrix, DVector};
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 /// Orders and delay of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -161,6 +161,11 @@ pub(crate) fn memory(na: usize, nb: usize, nk: usize) -> usize {
 /// Radians per sample at `frequency_hz`.
 pub(crate) fn angle(frequency_hz: f64, period_s: f64) -> f64 {
     TAU * frequency_hz * period_s
+}
+
+/// From one angle to the next the short way round, from −π to below π.
+pub(super) fn turn(from: f64, to: f64) -> f64 {
+    (to - from + PI).rem_euclid(TAU) - PI
 }
 
 /// c₀ + c₁ x + c₂ x² + …
