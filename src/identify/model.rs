@@ -93,6 +93,11 @@ impl Polynomials {
         Self::of(parameters, self.na(), self.nk)
     }
 
+    /// The same orders and delay with parameters moved by a step.
+    pub(super) fn moved(&self, step: &DVector<f64>) -> Self {
+        self.with_parameters((self.parameters() + step).as_slice())
+    }
+
     /// From a parameter vector whose first `na` entries are those of A.
     pub fn of(parameters: &[f64], na: usize, nk: usize) -> Self {
         let (a, b) = parameters.split_at(na.min(parameters.len()));
