@@ -4,7 +4,7 @@
 
 mod boards;
 mod figures;
-pub(super) mod set_up;
+mod set_up;
 mod tables;
 mod words;
 
