@@ -2,7 +2,7 @@
 
 use super::numbers::{decimal, millimetres, rotation_of, round_stably};
 use super::{Base, Camera, Catheter, ColourPlane, Draft, Marker, RigError, View};
-use crate::atomic_file::NewFile;
+use crate::atomic_file::{NewFile, backup_names};
 use crate::optics::Surface;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
@@ -56,14 +56,7 @@ pub(super) fn save(rig: &Draft, path: &Path, keep: bool) -> Result<Option<PathBu
 
 /// Writes `old` beside `path`, under the first free backup name.
 fn keep_beside(path: &Path, old: &[u8]) -> Result<PathBuf, RigError> {
-    let named = |n: u32| {
-        let mut name = path.as_os_str().to_owned();
-        name.push(if n == 1 { ".bak".to_owned() } else { format!(".bak{n}") });
-        PathBuf::from(name)
-    };
-    let mut number = 1;
-    loop {
-        let backup = named(number);
+    for backup in backup_names(path) {
         let written = File::create_new(&backup).and_then(|mut file| {
             let written = file.write_all(old).and_then(|()| file.sync_all());
             // Half a backup could be mistaken for a whole one; this file is new and ours to remove.
@@ -71,10 +64,11 @@ fn keep_beside(path: &Path, old: &[u8]) -> Result<PathBuf, RigError> {
         });
         match written {
             Ok(()) => return Ok(backup),
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => number += 1,
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
             Err(source) => return Err(RigError::Write { file: backup, source }),
         }
     }
+    Err(RigError::Write { file: path.to_path_buf(), source: ErrorKind::AlreadyExists.into() })
 }
 
 fn camera(camera: &Camera) -> String {
