@@ -5,6 +5,7 @@ use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped, cli
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
 use crate::estimate::{Estimate, MarkerEstimate};
+use crate::median::upper_median;
 use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
@@ -248,9 +249,8 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
             Tracker::new(&changed, TrackOptions::default()).ok()?.misfit_after(before, frame)
         };
         let misfits = (0..EXPOSURES).map(misfit).collect::<Option<Vec<_>>>()?;
-        let mut sorted = misfits.clone();
-        sorted.sort_by(f64::total_cmp);
-        Some(misfits.iter().map(|misfit| misfit - sorted[EXPOSURES / 2]).collect())
+        let middle = upper_median(misfits.iter().copied())?;
+        Some(misfits.iter().map(|misfit| misfit - middle).collect())
     };
     let curves: Vec<Vec<f64>> = moving.iter().filter_map(curve).take(EXPOSURE_PAIRS).collect();
     if curves.len() < 2 * PARTS {

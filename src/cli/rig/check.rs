@@ -3,7 +3,7 @@
 use super::super::progress::Progress;
 use super::super::run::two_views;
 use super::super::{Exit, Failure, fitting, output};
-use crate::calibrate::rig::share::{Pose, share, volume_m};
+use crate::calibrate::rig::share::{CatheterPose, share, volume_m};
 use crate::optics::{Surface, Wall};
 use crate::plural::plural;
 use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
@@ -56,14 +56,14 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
         let tip = rig.tip();
         let place = |marker: usize| estimate.markers.get(marker)?.position.as_ref().ok().map(|p| p.point);
         if let (Some(coil), Some(tip), Ok(tangent)) = (place(rig.catheter.coil), place(tip), &estimate.tangent) {
-            poses.push(Pose { coil, tangent: tangent.direction, tip });
+            poses.push(CatheterPose { coil, tangent: tangent.direction, tip });
         }
         frames += 1;
         progress.at(frames);
     }
     drop(progress);
     let every = poses.len().div_ceil(MAX_MOMENTS).max(1);
-    let some: Vec<Pose> = poses.iter().copied().step_by(every).collect();
+    let some: Vec<CatheterPose> = poses.iter().copied().step_by(every).collect();
     let share = share(draft, &some).map_err(|e| unusable(&e))?;
     let mut text = format!("\nthe calibration's share of errors at the catheter in {} (1σ)", recording.display());
     text += &format!(
