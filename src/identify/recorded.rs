@@ -34,7 +34,8 @@ pub(crate) enum RecordedError {
     },
     /// No commands.
     #[error(
-        "{name}: has no coil currents; record them with `catoptra live --currents`, or give a table of them with --currents"
+        "{name}: has no coil currents; record them with `catoptra live --currents`, or give a table of them with \
+         --currents"
     )]
     NoCurrents {
         /// The recording.
@@ -54,8 +55,8 @@ pub(crate) enum RecordedError {
     },
     /// No frame has a current.
     #[error(
-        "{name}: frames are from {:.3} s to {:.3} s and commands from {:.3} s to {:.3} s of the camera's clock: they do not \
-         overlap; say with --delay how much later the commands acted",
+        "{name}: frames are from {:.3} s to {:.3} s and commands from {:.3} s to {:.3} s of the camera's clock: they \
+         do not overlap; say with --delay how much later the commands acted",
         frames_s.0, frames_s.1, commands_s.0, commands_s.1
     )]
     ClocksApart {

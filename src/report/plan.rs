@@ -74,12 +74,13 @@ pub(crate) fn page(name: &str, plan: &Plan) -> String {
     ];
     let body = format!(
         "<header><p class=\"kicker\">Catoptra · plan</p><h1>{}</h1></header>\n<dl class=\"key\">\n{}</dl>\n\
-         <p>For shapes at rest under currents all over what the coils allow: what the views see of them, and 1σ of what would \
-         be measured in one frame. All numbers are of rendered pictures and of the geometry; light, dirt and reflections of the \
-         real place come on top.</p>\n{}<h2>What the camera sees at rest</h2>\n{}<h2>The set-up to scale</h2>\n\
-         <p>From above, from near, and from the side. Lines in colour are light from the tip, by way of each view.</p>\n{}{}{}\
-         <h2>Where the tip is seen, and how well</h2>\n<p>Base frame; colours are σ of θ in one frame of a video, crosses are \
-         shapes that a view does not see, or the tracker misses.</p>\n{}{}<h2>Shapes</h2>\n{}",
+         <p>For shapes at rest under currents all over what the coils allow: what the views see of them, and 1σ of \
+         what would be measured in one frame. All numbers are of rendered pictures and of the geometry; light, dirt \
+         and reflections of the real place come on top.</p>\n{}<h2>What the camera sees at rest</h2>\n{}<h2>The set-up \
+         to scale</h2>\n<p>From above, from near, and from the side. Lines in colour are light from the tip, by way of \
+         each view.</p>\n{}{}{}<h2>Where the tip is seen, and how well</h2>\n<p>Base frame; colours are σ of θ in one \
+         frame of a video, crosses are shapes that a view does not see, or the tracker \
+         misses.</p>\n{}{}<h2>Shapes</h2>\n{}",
         escape(name),
         cards.concat(),
         suggestions(plan),
@@ -96,8 +97,8 @@ pub(crate) fn page(name: &str, plan: &Plan) -> String {
 
 fn suggestions(plan: &Plan) -> String {
     if plan.suggestions.is_empty() {
-        return "<p>Of the changes tried (a longer lens, the camera closer, mirrors turned) none helps by 5 % and keeps what is \
-                seen now.</p>\n"
+        return "<p>Of the changes tried (a longer lens, the camera closer, mirrors turned) none helps by 5 % and keeps \
+                what is seen now.</p>\n"
             .to_owned();
     }
     let rows: Vec<Vec<String>> = plan

@@ -103,8 +103,8 @@ fn camera(camera: &Camera) -> String {
 }
 
 fn surface(first: bool, name: &str, surface: &Surface) -> String {
-    let head = "# Planes normal·X = offset_mm. A mirror's normal points to the side it reflects on, a wall's outwards;\n\
-                # a wall's plane is its outer face.\n";
+    let head = "# Planes normal·X = offset_mm. A mirror's normal points to the side it reflects on, a wall's \
+                outwards;\n# a wall's plane is its outer face.\n";
     let plane = surface.plane();
     let (kind, wall) = match surface {
         Surface::Mirror(_) => ("mirror", None),
@@ -141,8 +141,8 @@ fn view(first: bool, view: &View) -> String {
 }
 
 fn marker(first: bool, marker: &Marker, views: &[View]) -> String {
-    let head = "# Bands, from the clamp to the tip; centre_mm is the middle of the band along the tube, as learned from the edge of\n\
-                # the first band that is nearer to the clamp.\n";
+    let head = "# Bands, from the clamp to the tip; centre_mm is the middle of the band along the tube, as learned \
+                from the edge of\n# the first band that is nearer to the clamp.\n";
     let mut text = format!(
         "{}[[marker]]\nname = \"{}\"\nlength_mm = {}\n",
         if first { head } else { "" },
@@ -158,8 +158,8 @@ fn marker(first: bool, marker: &Marker, views: &[View]) -> String {
     }
     let models = &marker.colours;
     for (i, colour) in models.iter().enumerate() {
-        let head = "\n# score = the least of r·R + g·G + b·B + bias over the planes [r, g, b, bias]: about 1 on the band, below 0.5\n\
-                    # elsewhere; rgb is its mean colour, 0 to 255.\n";
+        let head = "\n# score = the least of r·R + g·G + b·B + bias over the planes [r, g, b, bias]: about 1 on the \
+                    band, below 0.5\n# elsewhere; rgb is its mean colour, 0 to 255.\n";
         let _ = writeln!(text, "{}[[marker.colours]]", if i == 0 { head } else { "\n" });
         if let Some(view) = views.get(i).filter(|_| models.len() > 1) {
             let _ = writeln!(text, "view = \"{}\"", view.name);
@@ -206,8 +206,8 @@ fn base(base: &Base) -> String {
     }
     let _ = write!(
         text,
-        "\n# X_base = rotation · X_camera + translation; the rows are the axes x, y, z of the base in the camera frame.\n\
-         [base.base_from_camera]\nrotation = [\n{}]\ntranslation_mm = {}\n",
+        "\n# X_base = rotation · X_camera + translation; the rows are the axes x, y, z of the base in the camera \
+         frame.\n[base.base_from_camera]\nrotation = [\n{}]\ntranslation_mm = {}\n",
         rows.chunks(3)
             .map(|row| format!("    {},\n", list(row.iter().map(|v| decimal(*v, DIRECTION_DECIMALS)))))
             .collect::<String>(),

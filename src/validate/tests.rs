@@ -390,7 +390,8 @@ fn what_cannot_be_used_is_told_with_its_numbers() {
     let other = message(|_| {}, Some(START_NS + 100_000_000_000));
     assert_eq!(
         other,
-        "20ms.csv: no frame is from the time of the commands: these are from 102.346 s to 118.346 s, the frames from 2.350 s to 18.333 s of the camera's clock; check --start"
+        "20ms.csv: no frame is from the time of the commands: these are from 102.346 s to 118.346 s, the frames from \
+         2.350 s to 18.333 s of the camera's clock; check --start"
     );
     let short = message(|r| r.frames.truncate(500), None);
     assert!(short.contains("they take 16.000 s, the record has 8.317 s of motion; give --start"), "{short}");

@@ -67,7 +67,8 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
     let share = share(draft, &some).map_err(|e| unusable(&e))?;
     let mut text = format!("\nthe calibration's share of errors at the catheter in {} (1σ)", recording.display());
     text += &format!(
-        "\n  θ                {:.4}°, at the worst moment {:.4}°\n  tip, base frame  {:.4} mm, at the worst moment {:.4} mm\n",
+        "\n  θ                {:.4}°, at the worst moment {:.4}°\n  tip, base frame  {:.4} mm, at the worst moment \
+         {:.4} mm\n",
         share.theta_rad.0.to_degrees(),
         share.theta_rad.1.to_degrees(),
         share.tip_m.0 * 1e3,
@@ -77,8 +78,8 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
         None => "  the rig file does not say which places the boards filled\n".to_owned(),
         Some(0.0) => "  within the boards' volume\n".to_owned(),
         Some(m) => format!(
-            "  warning: up to {:.0} mm outside the boards' volume, where errors are larger than this says: calibrate with boards \
-             where the catheter is\n",
+            "  warning: up to {:.0} mm outside the boards' volume, where errors are larger than this says: calibrate \
+             with boards where the catheter is\n",
             m * 1e3
         ),
     };
@@ -229,7 +230,8 @@ fn surfaces(out: &mut String, rig: &Draft) -> fmt::Result {
         }
         writeln!(
             out,
-            "                   {distance_mm:.1}{sd} mm from the camera, normal {tilt:.1}° to the optical axis{crossing}"
+            "                   {distance_mm:.1}{sd} mm from the camera, normal {tilt:.1}° to the optical \
+             axis{crossing}"
         )?;
     }
     Ok(())

@@ -251,8 +251,8 @@ pub(crate) fn identify(training: &[Motion], judging: &[Motion], settings: Settin
     }
     let Some((_, found)) = best else {
         return Err(undetermined(
-            "the records do not tell the coils apart: their currents depend on each other, or move too little; let each of \
-             them change on its own (catoptra excite multisine, with other seeds)"
+            "the records do not tell the coils apart: their currents depend on each other, or move too little; let \
+             each of them change on its own (catoptra excite multisine, with other seeds)"
                 .to_owned(),
         ));
     };

@@ -190,8 +190,8 @@ impl Parser {
                 self.implausible += 1;
                 if self.implausible == 1 {
                     tracing::warn!(
-                        "{}: a sample is not plausible and is not logged: {:?} A, {:.3} s from its arrival; currents are \
-                         up to {} A (--current-limit), times within {} s of their arrival; more are counted",
+                        "{}: a sample is not plausible and is not logged: {:?} A, {:.3} s from its arrival; currents \
+                         are up to {} A (--current-limit), times within {} s of their arrival; more are counted",
                         self.name,
                         sample.current_a,
                         seconds(sample.host_ns.saturating_sub(arrival_ns)),
@@ -213,7 +213,8 @@ impl Parser {
                 if self.wrong == 1 {
                     let said = String::from_utf8_lossy(bytes.get(..bytes.len().min(60)).unwrap_or_default());
                     tracing::warn!(
-                        "{}: `{}` is no sample of currents; expected {{\"current_a\":[0.1,0]}} or 0.1, 0; more are counted",
+                        "{}: `{}` is no sample of currents; expected {{\"current_a\":[0.1,0]}} or 0.1, 0; more are \
+                         counted",
                         self.name,
                         said.escape_debug()
                     );
