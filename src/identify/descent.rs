@@ -30,8 +30,8 @@ pub(super) struct Lowest<S> {
 }
 
 impl Descent {
-    /// Searches from `start`. `cost` is infinite where the search must not go. `None` when the start has no finite cost,
-    /// or a place has no derivatives, or dependent ones.
+    /// Searches from `start`. `cost` is infinite where the search must not go. `None` when the start has no finite
+    /// cost, or a place has no derivatives, or dependent ones.
     pub(super) fn run<S>(
         self,
         start: S,

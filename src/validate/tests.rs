@@ -262,7 +262,8 @@ fn alignment_absorbs_a_pure_lag_on_a_circle_and_the_rest_of_the_result_shows_it(
     let (angle, axis) = run.alignment.angle_axis();
     assert!((angle.to_degrees() - 45.0).abs() < 1e-4, "{}°", angle.to_degrees());
     assert!((axis.unwrap().dot(&run.plane.unwrap().normal).abs() - 1.0).abs() < 1e-6);
-    // This one jumps from point to point; the phase counts as for one that moves on within a pause, here up to 0.15° apart.
+    // This one jumps from point to point; the phase counts as for one that moves on within a pause, here up to 0.15°
+    // apart.
     assert!((run.phase_deg.unwrap() + 45.0).abs() < 0.15 && run.magnitude.unwrap().db.abs() < 1e-4);
     for gain in run.gain {
         assert!(gain.is_none_or(|gain| (gain - 1.0).abs() < 1e-3));

@@ -321,8 +321,8 @@ fn error_percent(system: &System, records: &[Motion]) -> Option<f64> {
     Some(all.iter().sum::<f64>() / all.len().max(1) as f64)
 }
 
-/// The frequencies that contain the energy of the currents, of any coil, radians per sample; all when the records are too
-/// short to say.
+/// The frequencies that contain the energy of the currents, of any coil, radians per sample; all when the records are
+/// too short to say.
 fn excited(records: &[Motion]) -> (f64, f64) {
     let coils = records.first().map_or(0, |record| record.input.ncols());
     let bands = (0..coils).filter_map(|coil| {

@@ -3,8 +3,8 @@
 //! A sample is one line: JSON (`{"current_a":[0.1,0,-0.1],"seq":7,"host_ns":1700000000123456789}`, the last two
 //! optional) or bare numbers (`0.1, 0, -0.1`), amperes. A sample without `host_ns` has the time of its arrival. The
 //! table has a header with `host_ns` (nanoseconds since 1970) or `unix_s` and one column per coil, and is followed as
-//! it grows. With `t_s` instead, as `catoptra excite` writes it, times count from the beginning of the run, and each row
-//! is a sample when its time has come: for an amplifier that is started together with the run. So it is with the
+//! it grows. With `t_s` instead, as `catoptra excite` writes it, times count from the beginning of the run, and each
+//! row is a sample when its time has come: for an amplifier that is started together with the run. So it is with the
 //! `.play` lists of the laboratory's amplifier.
 //!
 //! From ROS 2 comes a `sensor_msgs/JointState`: the effort of each joint is the current of a coil, and the stamp,
