@@ -126,3 +126,34 @@ fn split(points: &[Option<[f64; 2]>]) -> (Vec<Option<f64>>, Vec<Option<f64>>) {
     let of = |k: usize| points.iter().map(|p| p.and_then(|p| rounded(p[k], 2))).collect();
     (of(0), of(1))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::geometry::tests::geometry;
+
+    #[test]
+    fn light_goes_from_surface_to_surface_and_ends_on_the_last_ray() {
+        let geometry = geometry();
+        for view in 0..geometry.views.len() {
+            let path = geometry.path(view);
+            let place = Point3::new(-0.12, 0.01, 1.38);
+            let pixel = path.project(&place).unwrap();
+            let points = met(&path, &pixel);
+            assert_eq!(points.len(), 1 + path.surfaces.len());
+            for (point, surface) in points.iter().skip(1).zip(&path.surfaces) {
+                assert!(surface.plane().signed_distance(point).abs() < 1e-9, "{point}");
+            }
+            let last = path.trace(&pixel).unwrap();
+            assert!((last.at(last.nearest(&place)) - place).norm() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_line_reaches_from_one_end_to_the_other() {
+        let points: Vec<[f64; 2]> = (0..=10).map(|k| [f64::from(k), 2.0 * f64::from(k)]).collect();
+        let [a, b] = ends(&points).unwrap();
+        assert!((a[0] + 0.8).abs() < 1e-9 && (b[1] - 21.6).abs() < 1e-9, "{a:?} {b:?}");
+        assert_eq!(ends(&[[1.0, 1.0]]), None);
+    }
+}
