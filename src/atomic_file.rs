@@ -57,3 +57,12 @@ impl Drop for NewFile {
         let _ = fs::remove_file(&self.beside);
     }
 }
+
+/// Names for a file's backup, the preferred first: `.bak`, `.bak2`, … beside it.
+pub(crate) fn backup_names(place: &Path) -> impl Iterator<Item = PathBuf> {
+    (1_u64..).map(move |n| {
+        let mut name = place.as_os_str().to_owned();
+        name.push(if n == 1 { ".bak".to_owned() } else { format!(".bak{n}") });
+        name.into()
+    })
+}

@@ -37,8 +37,8 @@ pub enum CatheterError {
     },
     /// A catheter that is longer than its tank is deep.
     #[error(
-        "{}: the catheter is {length_mm} mm long, the tank {depth_mm} mm deep below the clamp: it would stand on the bottom; \
-         flexible_mm, length_mm or tail_mm is wrong, or tank_depth_mm", file.display()
+        "{}: the catheter is {length_mm} mm long, the tank {depth_mm} mm deep below the clamp: it would stand on the \
+         bottom; flexible_mm, length_mm or tail_mm is wrong, or tank_depth_mm", file.display()
     )]
     Tank {
         /// Which file.
@@ -69,7 +69,8 @@ pub enum CatheterError {
     },
     /// The search for the shape did not settle.
     #[error(
-        "no shape is found beyond {percent:.0} % of the load; what is left of the boundary condition is {residual_rad:.1e} rad"
+        "no shape is found beyond {percent:.0} % of the load; what is left of the boundary condition is \
+         {residual_rad:.1e} rad"
     )]
     NotConverged {
         /// How much of the load.

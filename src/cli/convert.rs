@@ -14,8 +14,8 @@ pub(super) struct Args {
     /// The log
     #[arg(value_name = "LOG.mcap")]
     file: PathBuf,
-    /// What to make of it: ros2 (a log that rosbag2 reads), csv (the table of the run), or, not rounded, parquet and mat
-    /// (MATLAB)
+    /// What to make of it: ros2 (a log that rosbag2 reads), csv (the table of the run), or, not rounded, parquet and
+    /// mat (MATLAB)
     #[arg(long, value_enum, value_name = "WHAT", hide_possible_values = true)]
     profile: Profile,
     /// The new file; an existing one is never replaced

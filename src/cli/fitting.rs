@@ -45,8 +45,8 @@ fn fitting(
         && x.max(y) > 1
     {
         tracing::warn!(
-            "{name}: colour is stored for every {} pixels only ({}): bands that are narrower have none of their own, and may not be \
-             found; record in 4:2:0 at least",
+            "{name}: colour is stored for every {} pixels only ({}): bands that are narrower have none of their own, \
+             and may not be found; record in 4:2:0 at least",
             1 << x.max(y),
             if [x, y] == [2, 0] { "4:1:1" } else { "less than 4:2:0" }
         );
@@ -102,7 +102,8 @@ pub(super) fn check_size(name: &str, size_px: [u32; 2], (rig_file, rig): (&Path,
         return Ok(());
     }
     let text = format!(
-        "{name}: pictures of {width}x{height} pixels, but the camera in {} has {}x{}; a calibration holds for one size only",
+        "{name}: pictures of {width}x{height} pixels, but the camera in {} has {}x{}; a calibration holds for one size \
+         only",
         rig_file.display(),
         expected[0],
         expected[1]

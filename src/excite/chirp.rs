@@ -42,13 +42,13 @@ impl Chirp {
         let Self { from_hz, to_hz, duration_s, amplitude_a, sweep } = *self;
         positive("amplitude", amplitude_a, "A")?;
         band(from_hz, to_hz, rate)?;
-        let octaves = (to_hz / from_hz).ln();
-        if sweep == Sweep::Logarithmic && octaves == 0.0 {
+        let ln_ratio = (to_hz / from_hz).ln();
+        if sweep == Sweep::Logarithmic && ln_ratio == 0.0 {
             return Err(ExciteError::NoSweep { hz: from_hz });
         }
         let cycles = |t: f64| match sweep {
             Sweep::Linear => from_hz * t + (to_hz - from_hz) * t * t / (2.0 * duration_s),
-            Sweep::Logarithmic => from_hz * duration_s / octaves * ((octaves * t / duration_s).exp() - 1.0),
+            Sweep::Logarithmic => from_hz * duration_s / ln_ratio * ((ln_ratio * t / duration_s).exp() - 1.0),
         };
         Signal::of(rate, duration_s, |t| amplitude_a * (TAU * cycles(t)).sin())
     }

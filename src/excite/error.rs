@@ -14,7 +14,8 @@ pub(crate) enum ExciteError {
         unit: &'static str,
     },
     /// Too few samples for a signal, or too many.
-    #[error("{duration_s} s at {rate_hz} samples per second are {:.0} samples; 2 to {most} are possible", duration_s * rate_hz)]
+    #[error("{duration_s} s at {rate_hz} samples per second are {:.0} samples; 2 to {most} are \
+        possible", duration_s * rate_hz)]
     Samples {
         /// Its length.
         duration_s: f64,
@@ -24,7 +25,8 @@ pub(crate) enum ExciteError {
         most: usize,
     },
     /// A frequency that the rate cannot represent.
-    #[error("{highest_hz} Hz exceeds the Nyquist frequency of {rate_hz} samples per second; stay below {} Hz, or raise the rate", rate_hz / 2.0)]
+    #[error("{highest_hz} Hz exceeds the Nyquist frequency of {rate_hz} samples per second; stay below {} Hz, or raise \
+        the rate", rate_hz / 2.0)]
     Nyquist {
         /// The highest frequency requested.
         highest_hz: f64,
@@ -33,7 +35,8 @@ pub(crate) enum ExciteError {
     },
     /// A band that is empty or reversed.
     #[error(
-        "the band {from_hz} to {to_hz} Hz holds no multiple of {step_hz} Hz, 1 over the period; widen it or lengthen the period"
+        "the band {from_hz} to {to_hz} Hz holds no multiple of {step_hz} Hz, 1 over the period; widen it or lengthen \
+         the period"
     )]
     NoLine {
         /// From.
@@ -44,7 +47,8 @@ pub(crate) enum ExciteError {
         step_hz: f64,
     },
     /// A period that is not a whole number of samples.
-    #[error("a period of {period_s} s is {:.3} samples at {rate_hz} per second, and must be a whole number: {near_s} s is the nearest", period_s * rate_hz)]
+    #[error("a period of {period_s} s is {:.3} samples at {rate_hz} per second, and must be a whole number: {near_s} s \
+        is the nearest", period_s * rate_hz)]
     Period {
         /// The period.
         period_s: f64,
@@ -66,7 +70,8 @@ pub(crate) enum ExciteError {
         found: usize,
     },
     /// Levels held too short.
-    #[error("a level held for {hold_s} s is less than 2 samples at {rate_hz} per second; hold it for {} s or longer", 2.0 / rate_hz)]
+    #[error("a level held for {hold_s} s is less than 2 samples at {rate_hz} per second; hold it for {} s or \
+        longer", 2.0 / rate_hz)]
     Hold {
         /// The time.
         hold_s: f64,
@@ -85,7 +90,8 @@ pub(crate) enum ExciteError {
     },
     /// Beyond the limit of slew.
     #[error(
-        "the current changes by {slew_a_s:.3} A/s at {at_s:.3} s, the limit is {limit_a_s} A/s: an amplitude of {:.1} mA keeps it{}",
+        "the current changes by {slew_a_s:.3} A/s at {at_s:.3} s, the limit is {limit_a_s} A/s: an amplitude of {:.1} \
+         mA keeps it{}",
         fits_a * 1e3,
         if *.uneven { ", or a rate at which delays are whole ms, such as 250" } else { "" }
     )]
@@ -103,7 +109,8 @@ pub(crate) enum ExciteError {
     },
     /// A ramp that does not reach the level while it is held.
     #[error(
-        "the step at {at_s:.3} s takes {needs_s:.3} s at {limit_a_s} A/s, and levels are held for {hold_s} s: hold them longer, or allow a larger slew"
+        "the step at {at_s:.3} s takes {needs_s:.3} s at {limit_a_s} A/s, and levels are held for {hold_s} s: hold \
+         them longer, or allow a larger slew"
     )]
     Unreached {
         /// When the step begins.

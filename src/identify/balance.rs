@@ -1,5 +1,5 @@
-//! Balanced coordinates of a system's states, in which they are equally controllable and observable (Moore, IEEE TAC 26,
-//! 1981, doi:10.1109/TAC.1981.1102568): from the factors of both Gramians, over all frequencies or in a band.
+//! Balanced coordinates of a system's states, in which they are equally controllable and observable (Moore, IEEE TAC
+//! 26, 1981, doi:10.1109/TAC.1981.1102568): from the factors of both Gramians, over all frequencies or in a band.
 
 use super::decompositions::svd;
 use nalgebra::DMatrix;

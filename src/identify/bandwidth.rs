@@ -4,8 +4,9 @@
 //! none of these definitions. The reference of a definition may lie outside the excited band, as zero frequency mostly
 //! does: then the number depends on the model alone and is flagged.
 
+use super::model::turn;
 use nalgebra::Complex;
-use std::f64::consts::{FRAC_PI_4, PI, TAU};
+use std::f64::consts::{FRAC_PI_4, PI};
 
 /// 10^(−3/20): −3 dB as in MATLAB and python-control, not 1/√2. Where the response is flat, as in Eq. 7, the difference
 /// of 0.1 % means 1 % in frequency.
@@ -83,7 +84,7 @@ pub(crate) fn bandwidth(
         Definition::ReDc | Definition::ReLowestExcited => response(f).norm() < reference * MINUS_3_DB,
         Definition::Phase45 => {
             let now = response(f).arg();
-            phase += (now - last + PI).rem_euclid(TAU) - PI;
+            phase += turn(last, now);
             last = now;
             phase <= -FRAC_PI_4
         }
@@ -102,10 +103,7 @@ pub(crate) fn bandwidth(
     let frequency_hz = found.map(|(mut low, mut high)| {
         let level = |f: f64| match definition {
             Definition::ReDc | Definition::ReLowestExcited => reference * MINUS_3_DB - response(f).norm(),
-            Definition::Phase45 => {
-                let past = (response(f).arg() - last + PI).rem_euclid(TAU) - PI;
-                -FRAC_PI_4 - (phase + past)
-            }
+            Definition::Phase45 => -FRAC_PI_4 - (phase + turn(last, response(f).arg())),
         };
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
@@ -126,6 +124,7 @@ pub(crate) fn bandwidth(
 mod tests {
     use super::super::continuous::{Continuous, Conversion};
     use super::*;
+    use std::f64::consts::TAU;
 
     fn of(num: &[f64], den: &[f64], definition: Definition) -> Bandwidth {
         let (num, den) = (num.to_vec(), den.to_vec());

@@ -339,7 +339,7 @@ fn intervals(
         full_draws = repeat(training, &full, noise, settings.bootstrap, |drawn| {
             let again = match settings.estimator {
                 Estimator::Arx => arx::fit(drawn, full.orders()).ok()?.model,
-                Estimator::OutputError => output_error::refine(drawn, &full).ok()?.estimated.model,
+                Estimator::OutputError => output_error::nearest(drawn, &full).ok()?.model,
                 Estimator::Instrumental => instrumental::refine(drawn, &full).ok()?.estimated.model,
             };
             let reduced = reduce(&again, how).ok().map(|r| of(Role::Reduced, &r.model));
@@ -349,7 +349,7 @@ fn intervals(
     let mut refined_draws = Vec::new();
     if let Some(refined) = model(Role::Refined) {
         refined_draws = repeat(training, &refined, Noise::Output, settings.bootstrap, |drawn| {
-            let again = output_error::refine(drawn, &refined).ok()?.estimated.model;
+            let again = output_error::nearest(drawn, &refined).ok()?.model;
             Some(of(Role::Refined, &again))
         });
     }

@@ -2,7 +2,7 @@
 //! plant's. These cannot be separated, so the sum is reported, and removed only on request.
 //!
 //! In: the data as a function of a delay of the commands. Out: the delay with which a second-order model fits best, by
-//! output error; delay and model are fitted together (Gauss-Newton with Levenberg-Marquardt damping).
+//! output error; delay and model are fitted together.
 //!
 //! The sum of squares has many local minima. In most of them one state of the model imitates a delay and only the other
 //! describes the plant: the delay is then wrong by some milliseconds, with a hardly larger residual. Searches therefore
@@ -15,8 +15,9 @@
 
 use super::arx;
 use super::data::Segment;
+use super::descent::{Descent, Lowest};
 use super::model::{Orders, Polynomials};
-use super::output_error::{damped_step, each_row, squares};
+use super::output_error::{each_row, squares};
 use super::regression::{Triangle, solve};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -34,8 +35,7 @@ const HALF_STEP: f64 = 0.005;
 /// Most steps of a first search, and of the final one.
 const FIRST_STEPS: usize = 25;
 const FINAL_STEPS: usize = 100;
-/// Relative decrease of the sum of squares that ends a search.
-const COST_TOLERANCE: f64 = 1e-9;
+const DESCENT: Descent = Descent { first_damping: 1e-3, tolerance: 1e-9, max_steps: FINAL_STEPS };
 /// Number of first searches that are continued.
 const CONTINUED_SEARCHES: usize = 3;
 /// Systematic error of the method, in periods. Simulated over all phases between amplifier and camera: 0.2 % to 0.6 %
@@ -58,7 +58,17 @@ pub(crate) struct Delay {
 struct State {
     delay_s: f64,
     model: Polynomials,
-    cost: f64,
+}
+
+impl State {
+    /// By a step of the model's parameters and then of the delay.
+    fn moved(&self, step: &DVector<f64>) -> Self {
+        let of_model = self.model.parameters().len();
+        Self {
+            delay_s: self.delay_s + step.get(of_model).copied().unwrap_or(0.0),
+            model: self.model.moved(&step.rows(0, of_model).into_owned()),
+        }
+    }
 }
 
 /// Estimates the delay within [`MAX_DELAY`] periods. `segments` gives the data for a delay of the commands: the same
@@ -68,11 +78,11 @@ pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segme
     // 1. from many delays and models
     let steps = (MAX_DELAY / START_SPACING) as i32;
     let delays: Vec<f64> = (-steps..=steps).map(|k| f64::from(k) * START_SPACING * period_s).collect();
-    let mut found: Vec<State> = delays
+    let mut found: Vec<Lowest<State>> = delays
         .par_iter()
         .flat_map(|delay_s| {
             let models = initial(&segments(*delay_s).unwrap_or_default());
-            models.into_par_iter().filter_map(|model| search.run(*delay_s, model, FIRST_STEPS))
+            models.into_par_iter().filter_map(|model| search.run(State { delay_s: *delay_s, model }, FIRST_STEPS))
         })
         .collect();
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
@@ -80,8 +90,9 @@ pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segme
     let best = found
         .into_iter()
         .take(CONTINUED_SEARCHES)
-        .filter_map(|state| search.run(state.delay_s, state.model, FINAL_STEPS))
+        .filter_map(|first| search.run(first.at, FINAL_STEPS))
         .min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+    let (best, cost) = (best.at, best.cost);
     if best.delay_s.abs() > MAX_DELAY * period_s {
         return None;
     }
@@ -91,7 +102,7 @@ pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segme
     if sd_s > MAX_DELAY * period_s {
         return None;
     }
-    Some(Delay { delay_s: best.delay_s, sd_s, residual_rms: (best.cost / samples as f64).sqrt() })
+    Some(Delay { delay_s: best.delay_s, sd_s, residual_rms: (cost / samples as f64).sqrt() })
 }
 
 /// Initial models: ARX of second order, and ARX of first order with a second, nearly cancelled state.
@@ -124,16 +135,16 @@ struct Search<'a, F> {
 }
 
 impl<F: Fn(f64) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
-    fn cost(&self, delay_s: f64, model: &Polynomials) -> f64 {
+    fn cost(&self, State { delay_s, model }: &State) -> f64 {
         // The search does not go far outside the range.
         if delay_s.abs() > (MAX_DELAY + START_SPACING) * self.period_s || !model.is_stable() {
             return f64::INFINITY;
         }
-        (self.segments)(delay_s).map_or(f64::INFINITY, |data| squares(&data, model))
+        (self.segments)(*delay_s).map_or(f64::INFINITY, |data| squares(&data, model))
     }
 
     /// Derivative of the simulated output with respect to the delay, per second.
-    fn by_delay(&self, delay_s: f64, model: &Polynomials, data: &[Segment]) -> Option<Vec<Vec<f64>>> {
+    fn by_delay(&self, State { delay_s, model }: &State, data: &[Segment]) -> Option<Vec<Vec<f64>>> {
         let step = HALF_STEP * self.period_s;
         let (later, earlier) = ((self.segments)(delay_s + step)?, (self.segments)(delay_s - step)?);
         let same = |s: &Segment, other: &Segment| s.first == other.first && s.len() == other.len();
@@ -149,42 +160,19 @@ impl<F: Fn(f64) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
         Some(pairs().map(|(_, (l, e))| change(l, e)).collect())
     }
 
-    fn run(&self, delay_s: f64, model: Polynomials, max_steps: usize) -> Option<State> {
-        let mut state = State { delay_s, cost: self.cost(delay_s, &model), model };
-        let (mut damping, mut steps, mut converged) = (1e-3, 0, !state.cost.is_finite());
-        while !converged && steps < max_steps {
+    fn run(&self, start: State, max_steps: usize) -> Option<Lowest<State>> {
+        let triangle = |state: &State| {
             let data = (self.segments)(state.delay_s)?;
-            let by_delay = self.by_delay(state.delay_s, &state.model, &data)?;
-            let triangle = linearise(&data, &state.model, &by_delay);
-            let before = state.cost;
-            // Shorter and shorter steps, until one improves.
-            loop {
-                steps += 1;
-                let Some(step) = damped_step(&triangle, damping) else { return Some(state) };
-                let (of_model, of_delay) = step.as_slice().split_at(step.len() - 1);
-                let model = state.model.parameters() + DVector::from_row_slice(of_model);
-                let model = state.model.with_parameters(model.as_slice());
-                let delay_s = state.delay_s + of_delay.first().copied().unwrap_or(0.0);
-                let cost = self.cost(delay_s, &model);
-                if cost < state.cost {
-                    state = State { delay_s, model, cost };
-                    damping = f64::max(damping * 0.1, 1e-12);
-                    break;
-                }
-                damping *= 10.0;
-                if damping > 1e8 || steps >= max_steps {
-                    break;
-                }
-            }
-            converged = before - state.cost <= COST_TOLERANCE * before;
-        }
-        state.cost.is_finite().then_some(state)
+            let by_delay = self.by_delay(state, &data)?;
+            Some(linearise(&data, &state.model, &by_delay))
+        };
+        Descent { max_steps, ..DESCENT }.run(start, |state| self.cost(state), triangle, State::moved)
     }
 
     /// Standard error of the delay, from the scores of all samples and their correlation over time.
     fn standard_error(&self, state: &State) -> Option<f64> {
         let data = (self.segments)(state.delay_s)?;
-        let by_delay = self.by_delay(state.delay_s, &state.model, &data)?;
+        let by_delay = self.by_delay(state, &data)?;
         let solution = solve(linearise(&data, &state.model, &by_delay))?;
         // The last row of R⁻¹ R⁻ᵀ, applied to a row of derivatives, is that sample's weight in the delay.
         let weights = &solution.inverse * solution.inverse.row(solution.inverse.nrows() - 1).transpose();

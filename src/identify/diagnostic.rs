@@ -152,19 +152,20 @@ impl fmt::Display for Diagnostic {
         match self {
             Self::Unstable { title, largest_pole } => write!(
                 f,
-                "{title}: unstable, its largest pole is {largest_pole:.5}; simulations with it run away. Choose other orders, \
-                 take trends off (--detrend), or fewer samples per second (--decimate)"
+                "{title}: unstable, its largest pole is {largest_pole:.5}; simulations with it run away. Choose other \
+                 orders, take trends off (--detrend), or fewer samples per second (--decimate)"
             ),
             Self::NearlyUnstable { title, largest_pole } => {
                 write!(
                     f,
-                    "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are hardly known"
+                    "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are \
+                     hardly known"
                 )
             }
             Self::StrangeRecord { title, record, error_percent } => write!(
                 f,
-                "{record}: {title} simulates it worse than zero would ({error_percent:.0} % of the energy left), but not the \
-                 data it was fitted to: are units, coil, delay and signs the same? Orders were judged by it too"
+                "{record}: {title} simulates it worse than zero would ({error_percent:.0} % of the energy left), but \
+                 not the data it was fitted to: are units, coil, delay and signs the same? Orders were judged by it too"
             ),
             Self::Poor { title, error_percent, linear } => {
                 write!(
@@ -188,35 +189,37 @@ impl fmt::Display for Diagnostic {
             }
             Self::Oversampled { output_hz, rate_hz, factor } => write!(
                 f,
-                "the output moves below {output_hz:.3} Hz and is sampled at {rate_hz:.1} Hz: noise then decides the coefficients; \
-                 --decimate {factor} keeps all that moves"
+                "the output moves below {output_hz:.3} Hz and is sampled at {rate_hz:.1} Hz: noise then decides the \
+                 coefficients; --decimate {factor} keeps all that moves"
             ),
             Self::OffCentre { what, ratio } => {
                 write!(f, "the mean of the {what} is {ratio:.1} times its spread: --detrend mean takes it off")
             }
             Self::Coloured { outside: (n, of) } => write!(
                 f,
-                "residuals of the full model are not white ({n} of {of} lags out of the 99 % bound): its standard errors are too \
-                 small, and it may be biased"
+                "residuals of the full model are not white ({n} of {of} lags out of the 99 % bound): its standard \
+                 errors are too small, and it may be biased"
             ),
             Self::Unexplained { outside: (n, of) } => {
                 write!(
                     f,
-                    "residuals of the full model are correlated with the input ({n} of {of} lags out of the 99 % bound): it leaves something unexplained"
+                    "residuals of the full model are correlated with the input ({n} of {of} lags out of the 99 % \
+                     bound): it leaves something unexplained"
                 )
             }
             Self::FedBack { outside: (n, of), has_instrument } => {
                 write!(
                     f,
-                    "the input is correlated with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of the output is \
-                     fed back into it, which biases ARX; compare with "
+                    "the input is correlated with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of \
+                     the output is fed back into it, which biases ARX; compare with "
                 )?;
                 // Without an instrument the input would be its own, including the noise.
                 if *has_instrument { write!(f, "--estimator iv") } else { write!(f, "a record without feedback") }
             }
             Self::AtEdge { what, value, option } => write!(
                 f,
-                "{what} {value} is the last that was searched: a better one may lie beyond, search further with {option}"
+                "{what} {value} is the last that was searched: a better one may lie beyond, search further with \
+                 {option}"
             ),
             Self::LowerOrders { best, used } => write!(
                 f,
@@ -243,14 +246,14 @@ impl fmt::Display for Diagnostic {
             Self::NotConverged { title, steps } => write!(f, "{title}: the search did not converge in {steps} steps"),
             Self::NotSteady { off, skipped } => write!(
                 f,
-                "the first period that is averaged differs from the others {off:.1} times more than noise explains: leave out \
-                 more than {skipped} with --repeats T:{}",
+                "the first period that is averaged differs from the others {off:.1} times more than noise explains: \
+                 leave out more than {skipped} with --repeats T:{}",
                 skipped + 1
             ),
             Self::BeyondNoise { left } => write!(
                 f,
-                "the model leaves {left:.2} times of the periods' lines what noise explains: what repeats is not linear, or of a higher \
-                 order (--reduce); σ is widened by its root"
+                "the model leaves {left:.2} times of the periods' lines what noise explains: what repeats is not \
+                 linear, or of a higher order (--reduce); σ is widened by its root"
             ),
             Self::FewPeriods { periods } => {
                 write!(

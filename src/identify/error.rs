@@ -7,8 +7,8 @@ use super::model::Orders;
 pub enum IdentifyError {
     /// Fewer rows than parameters.
     #[error(
-        "{} coefficients (na {}, nb {}, nk {}) cannot be found from {rows} samples that have a full past; the longest stretch \
-         without a hole has {longest} samples: choose lower orders or a longer record",
+        "{} coefficients (na {}, nb {}, nk {}) cannot be found from {rows} samples that have a full past; the longest \
+         stretch without a hole has {longest} samples: choose lower orders or a longer record",
         orders.parameters(), orders.na, orders.nb, orders.nk
     )]
     TooShort {
@@ -21,8 +21,8 @@ pub enum IdentifyError {
     },
     /// The validation data have no sample with a full past.
     #[error(
-        "no stretch without a hole has more than {longest} samples, and the largest model (na {}, nb {}, nk {}) needs {} before the \
-         first that is predicted: judge by more samples, or choose lower orders",
+        "no stretch without a hole has more than {longest} samples, and the largest model (na {}, nb {}, nk {}) needs \
+         {} before the first that is predicted: judge by more samples, or choose lower orders",
         orders.na, orders.nb, orders.nk, orders.memory()
     )]
     TooShortToJudge {
@@ -33,8 +33,9 @@ pub enum IdentifyError {
     },
     /// The data do not determine the coefficients.
     #[error(
-        "the data do not determine the {} coefficients of na {}, nb {}, nk {}: the input moves too little, or at too few \
-         frequencies, or the output follows a lower order without any noise; choose lower orders or another excitation",
+        "the data do not determine the {} coefficients of na {}, nb {}, nk {}: the input moves too little, or at too \
+         few frequencies, or the output follows a lower order without any noise; choose lower orders or another \
+         excitation",
         orders.parameters(), orders.na, orders.nb, orders.nk
     )]
     Dependent {
@@ -43,8 +44,8 @@ pub enum IdentifyError {
     },
     /// A model to be simulated has a pole outside the unit circle.
     #[error(
-        "the model with na {}, nb {}, nk {} is unstable (largest pole {largest_pole:.4}) and cannot be refined by simulation: \
-         choose other orders",
+        "the model with na {}, nb {}, nk {} is unstable (largest pole {largest_pole:.4}) and cannot be refined by \
+         simulation: choose other orders",
         orders.na, orders.nb, orders.nk
     )]
     Unstable {
@@ -83,14 +84,14 @@ pub enum IdentifyError {
     },
     /// The data determine none of the models searched.
     #[error(
-        "the data determine none of the models searched: the input moves too little, or at too few frequencies; search lower \
-         orders or excite it otherwise"
+        "the data determine none of the models searched: the input moves too little, or at too few frequencies; search \
+         lower orders or excite it otherwise"
     )]
     NoneDetermined,
     /// All models searched are unstable.
     #[error(
-        "all {tried} models searched are unstable: take trends off with --detrend, fewer samples per second with --decimate, or fix \
-         the orders with --order to see one"
+        "all {tried} models searched are unstable: take trends off with --detrend, fewer samples per second with \
+         --decimate, or fix the orders with --order to see one"
     )]
     NoneStable {
         /// How many.

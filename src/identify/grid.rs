@@ -66,8 +66,8 @@ pub(crate) enum GridError {
     },
     /// A jump of time that no pause explains.
     #[error(
-        "{name}: after sample {sample}, at {before_s} s, the next is {:.6e} s later, {:.3e} periods: a wrong time stamp? \
-         Correct or remove it, or use the parts before and behind it as two records",
+        "{name}: after sample {sample}, at {before_s} s, the next is {:.6e} s later, {:.3e} periods: a wrong time \
+         stamp? Correct or remove it, or use the parts before and behind it as two records",
         after_s - before_s, (after_s - before_s) / period_s
     )]
     Jump {
@@ -85,7 +85,8 @@ pub(crate) enum GridError {
     /// Intervals are not multiples of one period.
     #[error(
         "{name}: samples are not evenly spaced: {interval_s:.6} s between {at_s:.3} s and the next, where a period is \
-         {period_s:.6} s ({uneven} of {intervals} intervals are off by more than a quarter of it); resample with --resample"
+         {period_s:.6} s ({uneven} of {intervals} intervals are off by more than a quarter of it); resample with \
+         --resample"
     )]
     Uneven {
         /// The record.
@@ -336,8 +337,8 @@ mod tests {
         let uneven = Grid::of("a.csv", &[0.0, 1.0, 2.0, 3.4, 4.4, 5.4]).unwrap_err();
         assert_eq!(
             uneven.to_string(),
-            "a.csv: samples are not evenly spaced: 1.400000 s between 2.000 s and the next, where a period is 1.000000 s \
-             (1 of 5 intervals are off by more than a quarter of it); resample with --resample"
+            "a.csv: samples are not evenly spaced: 1.400000 s between 2.000 s and the next, where a period is 1.000000 \
+             s (1 of 5 intervals are off by more than a quarter of it); resample with --resample"
         );
         let back = Grid::of("a.csv", &[0.0, 1.0, 1.0]).unwrap_err();
         assert_eq!(back.to_string(), "a.csv: time goes from 1 s to 1 s at sample 2; it must rise");

@@ -71,6 +71,7 @@ pub(crate) mod settings;
 mod tables;
 
 mod decompositions;
+mod descent;
 mod error;
 mod initial;
 pub(crate) mod saved;

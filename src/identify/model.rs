@@ -5,7 +5,7 @@
 
 use super::decompositions::eigenvalues;
 use nalgebra::{Complex, DMatrix, DVector};
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 /// Orders and delay of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -93,6 +93,11 @@ impl Polynomials {
         Self::of(parameters, self.na(), self.nk)
     }
 
+    /// The same orders and delay with parameters moved by a step.
+    pub(super) fn moved(&self, step: &DVector<f64>) -> Self {
+        self.with_parameters((self.parameters() + step).as_slice())
+    }
+
     /// From a parameter vector whose first `na` entries are those of A.
     pub fn of(parameters: &[f64], na: usize, nk: usize) -> Self {
         let (a, b) = parameters.split_at(na.min(parameters.len()));
@@ -161,6 +166,11 @@ pub(crate) fn memory(na: usize, nb: usize, nk: usize) -> usize {
 /// Radians per sample at `frequency_hz`.
 pub(crate) fn angle(frequency_hz: f64, period_s: f64) -> f64 {
     TAU * frequency_hz * period_s
+}
+
+/// From one angle to the next the short way round, from −π to below π.
+pub(super) fn turn(from: f64, to: f64) -> f64 {
+    (to - from + PI).rem_euclid(TAU) - PI
 }
 
 /// c₀ + c₁ x + c₂ x² + …

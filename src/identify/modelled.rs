@@ -2,10 +2,9 @@
 
 use super::bandwidth::{Bandwidth, Definition, bandwidth};
 use super::continuous::{Continuous, Conversion};
-use super::model::{Polynomials, angle};
+use super::model::{Polynomials, angle, turn};
 use super::uncertainty::Covariance;
 use nalgebra::Complex;
-use std::f64::consts::{PI, TAU};
 
 /// Points in a Bode plot.
 const POINTS: usize = 300;
@@ -227,7 +226,7 @@ fn bode(model: &Polynomials, covariance: Option<&Covariance>, period_s: f64, low
 pub(crate) fn unwrapped(angles: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut last: Option<f64> = None;
     let follow = |angle: f64| {
-        let next = last.map_or(angle, |last| last + (angle - last + PI).rem_euclid(TAU) - PI);
+        let next = last.map_or(angle, |last| last + turn(last, angle));
         last = Some(next);
         next
     };
@@ -242,6 +241,7 @@ mod tests {
     use super::super::model::all_pole;
     use super::super::tests::noise;
     use super::*;
+    use std::f64::consts::TAU;
 
     /// 2/(0.1 s + 1), drawn many times: errors of H(s) and of the response compared with their σ.
     #[test]

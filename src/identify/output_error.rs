@@ -2,24 +2,22 @@
 //!
 //! In: segments, a stable initial model. Out: the model whose simulation is nearest to the output, with covariance.
 //! This is the right model for white noise on the measured output, where ARX is biased. Derivatives are filtered
-//! signals (Ljung, 2nd ed., section 10.3): ∂ŷ/∂b_j = q^−(nk+j)/A u, ∂ŷ/∂a_i = −q^−i/A ŷ. Steps have Levenberg-Marquardt
-//! damping; a step to an unstable model is never taken. The initial state of a segment that does not begin at rest is
-//! also fitted.
+//! signals (Ljung, 2nd ed., section 10.3): ∂ŷ/∂b_j = q^−(nk+j)/A u, ∂ŷ/∂a_i = −q^−i/A ŷ. A step to an unstable model is
+//! never taken. The initial state of a segment that does not begin at rest is also fitted.
 //!
 //! Finds a local minimum. Its covariance holds for white e, and for an input without noise.
 
 use super::IdentifyError;
 use super::colour::Colour;
 use super::data::Segment;
+use super::descent::Descent;
 use super::estimated::{Estimated, Refined};
 use super::model::{Polynomials, all_pole};
 use super::regression::{Triangle, solve};
 use super::uncertainty::Covariance;
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
 
-const MAX_STEPS: usize = 100;
-/// Relative decrease of the sum of squares that ends the search.
-const COST_TOLERANCE: f64 = 1e-12;
+const DESCENT: Descent = Descent { first_damping: 1e-4, tolerance: 1e-12, max_steps: 100 };
 
 /// Refines each of `initial` and returns the result nearest to the output: the sum of squares has several minima.
 ///
@@ -47,9 +45,45 @@ pub(crate) fn refine_from_any(segments: &[Segment], initial: &[Polynomials]) -> 
 /// Refines `initial`, keeping its orders and delay.
 ///
 /// # Errors
+/// As [`nearest`], and [`IdentifyError::Dependent`] when the derivatives do not determine the parameters.
+pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
+    let Nearest { model, noise_variance, samples, steps, converged } = nearest(segments, initial)?;
+    let parts = segments.iter().map(|segment| derivatives_and_residual(segment, &model));
+    let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
+    let mut triangle = Triangle::new(model.na() + model.nb() + 1);
+    for (derivatives, residual) in derivatives.iter().zip(&residuals) {
+        let rows = derivatives.row_iter().zip(residual);
+        rows.for_each(|(row, left)| triangle.push(row.iter().chain([left]).copied()));
+    }
+    let dependent = || IdentifyError::Dependent { orders: model.orders() };
+    let solution = solve(triangle.finish()).ok_or_else(dependent)?;
+    let factor = Colour::of(&residuals).factor(&derivatives, &solution.inverse);
+    let estimated = Estimated {
+        model,
+        covariance: Covariance::from_factor(factor * noise_variance.sqrt()),
+        noise_variance,
+        samples,
+        condition: solution.condition,
+    };
+    Ok(Refined { estimated, steps, converged })
+}
+
+/// The model nearest to the output, without its uncertainty.
+#[derive(Debug, Clone)]
+pub(crate) struct Nearest {
+    pub(crate) model: Polynomials,
+    noise_variance: f64,
+    samples: usize,
+    steps: usize,
+    converged: bool,
+}
+
+/// Searches from `initial`, keeping its orders and delay.
+///
+/// # Errors
 /// [`IdentifyError::Unstable`] when `initial` is, [`IdentifyError::TooShort`] and [`IdentifyError::Dependent`] as for
 /// ARX.
-pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
+pub(crate) fn nearest(segments: &[Segment], initial: &Polynomials) -> Result<Nearest, IdentifyError> {
     let orders = initial.orders();
     if !initial.is_stable() {
         return Err(IdentifyError::Unstable { orders, largest_pole: initial.largest_pole() });
@@ -62,39 +96,12 @@ pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refi
         let longest = segments.iter().map(Segment::len).max().unwrap_or(0);
         return Err(IdentifyError::TooShort { orders, rows: samples, longest });
     }
-    let mut model = initial.clone();
-    let mut triangle = linearise(segments, &model);
-    let mut cost = squares(segments, &model);
-    let (mut damping, mut steps, mut converged) = (1e-4, 0, false);
-    while steps < MAX_STEPS && !converged {
-        steps += 1;
-        let step = damped_step(&triangle, damping).ok_or(IdentifyError::Dependent { orders })?;
-        let trial = model.with_parameters((model.parameters() + step).as_slice());
-        let trial_cost = if trial.is_stable() { squares(segments, &trial) } else { f64::INFINITY };
-        if trial_cost < cost {
-            converged = cost - trial_cost <= COST_TOLERANCE * cost;
-            (model, cost) = (trial, trial_cost);
-            triangle = linearise(segments, &model);
-            damping = f64::max(damping * 0.1, 1e-12);
-        } else {
-            // No improvement even with tiny steps: the minimum.
-            converged = damping > 1e8;
-            damping *= 10.0;
-        }
-    }
-    let solution = solve(triangle).ok_or(IdentifyError::Dependent { orders })?;
-    let noise_variance = cost / (samples - parameters) as f64;
-    let parts = segments.iter().map(|segment| derivatives_and_residual(segment, &model));
-    let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
-    let factor = Colour::of(&residuals).factor(&derivatives, &solution.inverse);
-    let estimated = Estimated {
-        model,
-        covariance: Covariance::from_factor(factor * noise_variance.sqrt()),
-        noise_variance,
-        samples,
-        condition: solution.condition,
-    };
-    Ok(Refined { estimated, steps, converged })
+    let cost = |model: &Polynomials| if model.is_stable() { squares(segments, model) } else { f64::INFINITY };
+    let triangle = |model: &Polynomials| Some(linearise(segments, model));
+    let found =
+        DESCENT.run(initial.clone(), cost, triangle, Polynomials::moved).ok_or(IdentifyError::Dependent { orders })?;
+    let noise_variance = found.cost / (samples - parameters) as f64;
+    Ok(Nearest { model: found.at, noise_variance, samples, steps: found.steps, converged: found.converged })
 }
 
 /// Possible contributions of the initial state to the output of a segment that does not begin at rest: orthonormal
@@ -194,14 +201,4 @@ pub(super) fn each_row(segment: &Segment, model: &Polynomials, further: Option<&
             take(&row);
         }
     }
-}
-
-/// Solves with the columns' norms, times √damping, appended below the triangle.
-pub(super) fn damped_step(triangle: &DMatrix<f64>, damping: f64) -> Option<DVector<f64>> {
-    let p = triangle.ncols() - 1;
-    let mut columns = triangle.clone().resize_vertically(triangle.nrows() + p, 0.0);
-    for k in 0..p {
-        columns[(triangle.nrows() + k, k)] = triangle.column(k).norm() * f64::sqrt(damping);
-    }
-    solve(columns).map(|solution| solution.parameters)
 }

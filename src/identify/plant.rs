@@ -75,7 +75,8 @@ pub enum PlantError {
         source: std::io::Error,
     },
     /// Not TOML, a key missing or unknown, or a value of the wrong type.
-    #[error("{}:{line}: {message}; the keys are turns, area_mm2, b0_t, mass_g, length_mm and, if wanted, gravity_m_s2", file.display())]
+    #[error("{}:{line}: {message}; the keys are turns, area_mm2, b0_t, mass_g, length_mm and, if wanted, \
+        gravity_m_s2", file.display())]
     Syntax {
         /// Which file.
         file: PathBuf,

@@ -7,7 +7,7 @@ use super::grid::{Grid, GridError, Series};
 use super::hold::Held;
 use super::plant::Plant;
 use crate::plural::plural;
-use crate::series::{Current, Recording};
+use crate::series::{Current, Frame, Recording};
 
 /// Interval, in periods, beyond which frames were lost.
 const GAP_PERIODS: f64 = 1.5;
@@ -34,7 +34,8 @@ pub(crate) enum RecordedError {
     },
     /// No commands.
     #[error(
-        "{name}: has no coil currents; record them with `catoptra live --currents`, or give a table of them with --currents"
+        "{name}: has no coil currents; record them with `catoptra live --currents`, or give a table of them with \
+         --currents"
     )]
     NoCurrents {
         /// The recording.
@@ -54,8 +55,8 @@ pub(crate) enum RecordedError {
     },
     /// No frame has a current.
     #[error(
-        "{name}: frames are from {:.3} s to {:.3} s and commands from {:.3} s to {:.3} s of the camera's clock: they do not \
-         overlap; say with --delay how much later the commands acted",
+        "{name}: frames are from {:.3} s to {:.3} s and commands from {:.3} s to {:.3} s of the camera's clock: they \
+         do not overlap; say with --delay how much later the commands acted",
         frames_s.0, frames_s.1, commands_s.0, commands_s.1
     )]
     ClocksApart {
@@ -90,10 +91,22 @@ impl Observed {
     /// # Errors
     /// When there is no frame, or no frame with θ.
     pub(crate) fn of(recording: &Recording) -> Result<Self, RecordedError> {
+        Self::of_angle(recording, |frame| frame.theta_rad)
+    }
+
+    /// The same with another angle of a frame in place of θ.
+    ///
+    /// # Errors
+    /// As [`Observed::of`].
+    pub(crate) fn of_angle(
+        recording: &Recording,
+        angle_rad: impl Fn(&Frame) -> Option<f64>,
+    ) -> Result<Self, RecordedError> {
         let name = recording.path.display().to_string();
         let frames = &recording.frames;
         let Some(first) = frames.first() else { return Err(RecordedError::NoFrame { name }) };
-        if frames.iter().all(|f| f.theta_rad.is_none()) {
+        let theta_rad: Vec<Option<f64>> = frames.iter().map(angle_rad).collect();
+        if theta_rad.iter().all(Option::is_none) {
             let status = first
                 .theta_status
                 .clone()
@@ -106,7 +119,7 @@ impl Observed {
             name,
             zero_ns,
             time_s: frames.iter().map(|f| f.stamp_ns.saturating_sub(zero_ns) as f64 * S_PER_NS).collect(),
-            theta_rad: frames.iter().map(|f| f.theta_rad).collect(),
+            theta_rad,
         })
     }
 
@@ -186,7 +199,7 @@ impl Observed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::series::{Frame, Place};
+    use crate::series::Place;
     use std::path::PathBuf;
 
     fn recording(stamps_ms: &[i64], theta: impl Fn(usize) -> Option<f64>) -> Recording {

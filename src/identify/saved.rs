@@ -23,7 +23,8 @@ const SAME_PERIOD: f64 = 1e-5;
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SavedError {
     /// The file cannot be read.
-    #[error("cannot read model {}: {source}; give a model.json of `catoptra identify`, a file of H(s), or {EQ_7}", file.display())]
+    #[error("cannot read model {}: {source}; give a model.json of `catoptra identify`, a file of H(s), or \
+        {EQ_7}", file.display())]
     Read {
         /// Which file.
         file: PathBuf,
@@ -32,8 +33,8 @@ pub(crate) enum SavedError {
     },
     /// Neither a `model.json` nor H(s).
     #[error(
-        "{}: {problem}; expected a model.json of `catoptra identify`, or H(s) as TOML or JSON: num = [17610, 6344], den = [1, 4.59, \
-         1.136] (highest power of s first) and, if wanted, delay_s", file.display()
+        "{}: {problem}; expected a model.json of `catoptra identify`, or H(s) as TOML or JSON: num = [17610, 6344], \
+         den = [1, 4.59, 1.136] (highest power of s first) and, if wanted, delay_s", file.display()
     )]
     Content {
         /// Which file.
@@ -252,8 +253,8 @@ fn polynomials(what: &str, a: &[f64], b: &[f64], nk: usize) -> Result<Polynomial
 fn continuous(what: &str, num: Vec<f64>, den: Vec<f64>, delay_s: f64) -> Result<Continuous, String> {
     if num.is_empty() || den.is_empty() || num.len() > den.len() || den.len() > MAX_COEFFICIENTS_OF_H {
         return Err(format!(
-            "{what}: num has {} coefficients and den {}; num must have one at least and no more than den, which has {MAX_COEFFICIENTS_OF_H} at \
-             most",
+            "{what}: num has {} coefficients and den {}; num must have one at least and no more than den, which has \
+             {MAX_COEFFICIENTS_OF_H} at most",
             num.len(),
             den.len()
         ));

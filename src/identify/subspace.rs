@@ -43,20 +43,15 @@ pub(crate) fn fit(segments: &[Segment], orders: Orders, weight: Weight) -> Optio
     // projected out.
     let future = 3 * reach;
     let by_past = r.view((reach, future), (2 * reach, reach)).transpose();
-    let scaled = match weight {
-        Weight::None => by_past.clone(),
+    let directions = |scaled: DMatrix<f64>| Some(svd(scaled)?.u?.columns(0, n).into_owned());
+    let observed = match weight {
+        Weight::None => directions(by_past)?,
         Weight::Canonical => {
             // The future outputs without the part of the future inputs.
             let all = r.view((reach, future), (3 * reach, reach)).into_owned().qr().r();
-            all.tr_solve_upper_triangular(&by_past)?
+            all.tr_mul(&directions(all.tr_solve_upper_triangular(&by_past)?)?)
         }
     };
-    let found = svd(scaled)?;
-    let mut observed = found.u?.columns(0, n).into_owned();
-    if weight == Weight::Canonical {
-        let all = r.view((reach, future), (3 * reach, reach)).into_owned().qr().r();
-        observed = all.tr_mul(&observed);
-    }
     // Γ shifted by a sample is Γ A.
     let (upper, lower) = (observed.rows(0, reach - 1).into_owned(), observed.rows(1, reach - 1).into_owned());
     let factors = upper.qr();

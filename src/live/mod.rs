@@ -24,6 +24,7 @@ mod pictures;
 mod priority;
 mod queue;
 mod status;
+mod subscribers;
 mod switch;
 mod writer;
 
@@ -42,7 +43,7 @@ use crate::pipeline::{End, OpenSink, Summary, finish_all, returned};
 use crate::sink::{CurrentSample, Sink, SinkError};
 use crate::source::host::HostClock;
 use crate::source::{FrameSource, Picture, SourceError, StreamFaults, Timestamp};
-use crate::tally::{Tally, Totals};
+use crate::tally::Tally;
 use crate::track::{TrackError, Tracker};
 use pictures::Pictures;
 use priority::{SessionPriority, Urgency, run_as};
@@ -50,10 +51,11 @@ use queue::{Next, Queue};
 use status::Counters;
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
-use std::thread::{Builder, JoinHandle};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::thread::Builder;
 use std::time::{Duration, Instant};
+use subscribers::Subscribers;
 use writer::{Entry, Log};
 
 /// How long a camera that was asked to stop may take.
@@ -62,9 +64,6 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(4);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// How often it tells how it goes.
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
-/// Rows that may wait for subscribers.
-const MAX_PUBLISHED: usize = 64;
-
 /// Where the rows of a live run go.
 #[derive(Default)]
 pub struct Outputs {
@@ -135,22 +134,13 @@ pub fn run(
     let listened_to = !outputs.controllers.is_empty() || !outputs.subscribers.is_empty();
     let (log, writer) = Log::start(outputs.files)?;
     let backlog = log.backlog();
-    let (mut subscribers, mut publishers) = (Vec::new(), Vec::new());
-    for sink in outputs.subscribers {
-        let (line, thread) = Subscribers::start(sink)?;
-        subscribers.push(line);
-        publishers.push(thread);
-    }
+    let started = outputs.subscribers.into_iter().map(Subscribers::start).collect::<io::Result<Vec<_>>>()?;
+    let (subscribers, publishers): (Vec<_>, Vec<_>) = started.into_iter().unzip();
+    let unpublished: Vec<_> = subscribers.iter().map(Subscribers::missed).collect();
     let count = outputs.pictures.as_ref().map(|recording| Arc::clone(&recording.count));
     let counted = || count.as_ref().map(|count| (count.recorded(), count.dropped()));
-    let (pictures, recorder) = match outputs.pictures {
-        Some(recording) => {
-            let (line, thread) = Pictures::start(recording, log.clone())?;
-            (Some(line), Some(thread))
-        }
-        None => (None, None),
-    };
-    let unpublished: Vec<_> = subscribers.iter().map(|line| Arc::clone(&line.missed)).collect();
+    let recording = outputs.pictures.map(|recording| Pictures::start(recording, log.clone())).transpose()?;
+    let (pictures, recorder) = recording.unzip();
 
     let camera = {
         let (queue, stop) = (Arc::clone(&queue), Arc::clone(stop));
@@ -175,6 +165,15 @@ pub fn run(
         })?
     };
 
+    let reason_to_stop = || {
+        if backlog.sinks_alive() == 0 && !listened_to {
+            Some(End::Sink)
+        } else if until.duration.is_some_and(|duration| began.elapsed() >= duration) {
+            Some(End::Complete)
+        } else {
+            stop.load(Ordering::Relaxed).then_some(End::Interrupted)
+        }
+    };
     let mut interrupted = None;
     let mut reported = Instant::now();
     while !tracking.is_finished() {
@@ -186,19 +185,10 @@ pub fn run(
             outputs.latest.iter().for_each(|latest| latest.put_status(&status));
             watch(&status);
         }
-        let over = until.duration.is_some_and(|duration| began.elapsed() >= duration);
-        let deaf = backlog.sinks_alive() == 0 && !listened_to;
-        if interrupted.is_none() && (stop.load(Ordering::Relaxed) || over || deaf) {
-            interrupted = Some((
-                Instant::now(),
-                if deaf {
-                    End::Sink
-                } else if over {
-                    End::Complete
-                } else {
-                    End::Interrupted
-                },
-            ));
+        if interrupted.is_none()
+            && let Some(end) = reason_to_stop()
+        {
+            interrupted = Some((Instant::now(), end));
             stop.store(true, Ordering::Relaxed);
         }
         if camera.is_finished() || interrupted.as_ref().is_some_and(|(since, _)| since.elapsed() > STOP_TIMEOUT) {
@@ -338,60 +328,5 @@ fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut RowOutputs) -> Opti
             }
         }
         tracker.warning().iter().for_each(|warning| tracing::warn!("{warning}"));
-    }
-}
-
-/// The line to a sink for subscribers.
-#[derive(Clone)]
-struct Subscribers {
-    line: SyncSender<Published>,
-    missed: Arc<AtomicU64>,
-}
-
-/// What subscribers are told.
-enum Published {
-    Frame(Arc<Estimate>, Option<Totals>),
-    Current(CurrentSample),
-}
-
-impl Subscribers {
-    /// Starts the thread; it gives the sink back at the end, unless that has failed.
-    #[expect(clippy::type_complexity, reason = "named nowhere else")]
-    fn start(mut sink: Box<dyn Sink + Send>) -> io::Result<(Self, JoinHandle<Option<Box<dyn Sink + Send>>>)> {
-        let (line, rows) = sync_channel::<Published>(MAX_PUBLISHED);
-        let thread = Builder::new().name("publisher".to_owned()).spawn(move || {
-            let failed = rows.iter().find_map(|published| {
-                let written = match published {
-                    Published::Frame(row, totals) => sink
-                        .write(&row, None)
-                        .and_then(|()| totals.iter().try_for_each(|totals| sink.write_totals(totals))),
-                    Published::Current(sample) => sink.write_current(&sample),
-                };
-                written.err()
-            });
-            match failed {
-                Some(error) => {
-                    Self::report(&error);
-                    None
-                }
-                None => Some(sink),
-            }
-        })?;
-        Ok((Self { line, missed: Arc::default() }, thread))
-    }
-
-    fn report(error: &SinkError) {
-        tracing::error!("{error}; subscribers get nothing any more, the log continues");
-    }
-
-    fn put(&self, estimate: &Arc<Estimate>, totals: Option<Totals>) {
-        if let Err(TrySendError::Full(_)) = self.line.try_send(Published::Frame(Arc::clone(estimate), totals)) {
-            self.missed.fetch_add(1, Ordering::Relaxed);
-        }
-    }
-
-    /// Currents give way to frames; the log has them.
-    fn put_current(&self, sample: &CurrentSample) {
-        let _ = self.line.try_send(Published::Current(sample.clone()));
     }
 }

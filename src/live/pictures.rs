@@ -4,8 +4,8 @@
 //! log, but only while the log's own line is short. When the disk has less free space than is to be kept for the log,
 //! or the video cannot be written, no more pictures are recorded, which is told once; the estimates go on.
 //!
-//! With a [switch](RecordSwitch) there are stretches that are recorded, each whole to a place of its own or into the log,
-//! and stretches between that are not.
+//! With a [switch](RecordSwitch) there are stretches that are recorded, each whole to a place of its own or into the
+//! log, and stretches between that are not.
 
 use super::priority::{Urgency, run_as};
 use super::switch::{FROM_THE_BEGINNING, RecordSwitch, is_on};

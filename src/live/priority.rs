@@ -45,11 +45,12 @@ impl std::fmt::Display for Priority {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Ordinary => {
-                "ordinary priority: other programs can delay frames; run it as root, or raise the limit on nice (`ulimit -e 35`)"
+                "ordinary priority: other programs can delay frames; run it as root, or raise the limit on nice \
+                 (`ulimit -e 35`)"
             }
             Self::WithinSession => {
-                "raised priority within this session only, because the kernel groups sessions (autogroup): run it as root, \
-                 or switch that off (`sysctl kernel.sched_autogroup_enabled=0`)"
+                "raised priority within this session only, because the kernel groups sessions (autogroup): run it as \
+                 root, or switch that off (`sysctl kernel.sched_autogroup_enabled=0`)"
             }
             Self::Raised => "raised priority",
         })

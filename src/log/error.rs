@@ -22,13 +22,15 @@ pub enum LogError {
         path: PathBuf,
     },
     /// A log of another program.
-    #[error("{}: is an MCAP file, but has no topic {}: it is not a log of this program", path.display(), Topic::Estimate.name())]
+    #[error("{}: is an MCAP file, but has no topic {}: it is not a log of this \
+        program", path.display(), Topic::Estimate.name())]
     NotOurs {
         /// Which file.
         path: PathBuf,
     },
     /// A run is still writing it.
-    #[error("{}: is still being written; stop the run first, and if that was killed, repair the log then", path.display())]
+    #[error("{}: is still being written; stop the run first, and if that was killed, repair the log \
+        then", path.display())]
     BeingWritten {
         /// Which file.
         path: PathBuf,

@@ -4,11 +4,12 @@
 
 use super::records::{self, Condition};
 use super::{LogError, is_being_written};
+use crate::atomic_file::backup_names;
 use mcap::records::{Channel, Record};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, ErrorKind};
 use std::path::{Path, PathBuf};
 
 /// What was done.
@@ -53,7 +54,9 @@ pub fn repair(path: &Path) -> Result<Repaired, LogError> {
         let reason = format!("no message in it can be read ({reason}); it is left as it is");
         return Err(LogError::Repair { path: path.to_owned(), reason });
     }
-    let new = beside(path, ".repaired");
+    let mut new = path.as_os_str().to_owned();
+    new.push(".repaired");
+    let new = PathBuf::from(new);
     let (messages, unknown) = match copy(path, &new, &topics) {
         Ok(counts) => counts,
         Err(error) => {
@@ -62,17 +65,10 @@ pub fn repair(path: &Path) -> Result<Repaired, LogError> {
             return Err(error);
         }
     };
-    let free = |n: u32| beside(path, &if n == 1 { ".bak".to_owned() } else { format!(".bak{n}") });
-    let kept_as = (1..).map(free).find(|name| !name.exists()).unwrap_or_else(|| free(1));
-    let renamed = std::fs::rename(path, &kept_as).and_then(|()| std::fs::rename(&new, path));
-    renamed.map_err(|source| LogError::Io { path: path.to_owned(), source })?;
+    let io = |source| LogError::Io { path: path.to_owned(), source };
+    let kept_as = backup_names(path).find(|name| !name.exists()).ok_or_else(|| io(ErrorKind::AlreadyExists.into()))?;
+    std::fs::rename(path, &kept_as).and_then(|()| std::fs::rename(&new, path)).map_err(io)?;
     Ok(Repaired::Mended { messages, unknown, condition, kept_as })
-}
-
-fn beside(path: &Path, ending: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(ending);
-    PathBuf::from(name)
 }
 
 /// Schemas and channels of a log.

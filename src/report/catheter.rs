@@ -30,8 +30,8 @@ pub(crate) fn shape_page(
     let mut plot = space(&[shape.tip, Point3::origin(), shape.coil]);
     centre_line(&mut plot, shape, "centre line");
     let body = format!(
-        "{}<dl class=\"key\">\n{}</dl>\n<h2>Shape</h2>\n<p>At rest under coil currents, weight and buoyancy. The origin is the \
-         clamp.</p>\n{}<h2>What one more milliampere does</h2>\n{}<h2>Catheter</h2>\n{}",
+        "{}<dl class=\"key\">\n{}</dl>\n<h2>Shape</h2>\n<p>At rest under coil currents, weight and buoyancy. The \
+         origin is the clamp.</p>\n{}<h2>What one more milliampere does</h2>\n{}<h2>Catheter</h2>\n{}",
         header("shape", &format!("{name} at {ma} mA")),
         cards.concat(),
         figure("plot-shape", &plot, 560, false),
@@ -67,15 +67,15 @@ pub(crate) fn reach_page(name: &str, catheter: &Catheter, reach: &Reach) -> Stri
     let without = match reach.without_shape {
         0 => String::new(),
         n => format!(
-            "<p>{n} of {} settings of the currents have no stable shape: a moment that points against B0 turns over, like a \
-             compass needle held the wrong way round.</p>\n",
+            "<p>{n} of {} settings of the currents have no stable shape: a moment that points against B0 turns over, \
+             like a compass needle held the wrong way round.</p>\n",
             n + reach.reached.len()
         ),
     };
     let body = format!(
-        "{}<dl class=\"key\">\n{}</dl>\n<h2>Where the tip gets to</h2>\n<p>A moment along B0 has no couple, so that one coil set \
-         reaches a surface, not a volume. Each dot is the tip at one setting of the currents within the limit.</p>\n{without}\
-         {}<h2>Catheter</h2>\n{}",
+        "{}<dl class=\"key\">\n{}</dl>\n<h2>Where the tip gets to</h2>\n<p>A moment along B0 has no couple, so that \
+         one coil set reaches a surface, not a volume. Each dot is the tip at one setting of the currents within the \
+         limit.</p>\n{without}{}<h2>Catheter</h2>\n{}",
         header("reach", name),
         cards.concat(),
         figure("plot-reach", &plot, 620, false),
@@ -139,8 +139,9 @@ pub(crate) fn follow_page(
         currents.add_trace(Scatter::new(number, values).name(format!("coil {name}")).mode(Mode::Lines).line(line));
     }
     let body = format!(
-        "{}<dl class=\"key\">\n{}</dl>\n<h2>Path of the tip</h2>\n{}<h2>Currents of one period</h2>\n<p>The smallest currents that \
-         do it: one direction of currents moves nothing and is left at rest.</p>\n{}<h2>Catheter</h2>\n{}",
+        "{}<dl class=\"key\">\n{}</dl>\n<h2>Path of the tip</h2>\n{}<h2>Currents of one period</h2>\n<p>The smallest \
+         currents that do it: one direction of currents moves nothing and is left at \
+         rest.</p>\n{}<h2>Catheter</h2>\n{}",
         header("path", &format!("{path}, {name}")),
         cards.concat(),
         figure("plot-path", &plot, 560, false),

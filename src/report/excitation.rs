@@ -80,10 +80,11 @@ pub(crate) fn page(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum, 
             "<div class=\"doubts\"><p><strong>Cut off</strong> to keep the limits:</p>\n<ul>\n{changes}</ul></div>\n"
         );
     }
-    body += "<h2>Current over time</h2>\n<p>Each value is held until the next. After the last one the current is zero.</p>\n";
+    body += "<h2>Current over time</h2>\n<p>Each value is held until the next. After the last one the current is \
+        zero.</p>\n";
     body += &figure("plot-current", &course(signal), 340, false);
-    body += "<h2>Spectrum</h2>\n<p>Mean square of the samples, for each hertz of bandwidth. Grey: the band. The dotted line is half of the \
-             rate: nothing can be excited beyond it.</p>\n";
+    body += "<h2>Spectrum</h2>\n<p>Mean square of the samples, for each hertz of bandwidth. Grey: the band. The dotted \
+             line is half of the rate: nothing can be excited beyond it.</p>\n";
     body += &figure("plot-spectrum", &density(info, signal, spectrum), 360, false);
     let rows: Vec<Vec<String>> =
         inside.iter().map(|(band, share)| vec![band.clone(), format!("{:.2} %", share * 100.0)]).collect();

@@ -23,6 +23,7 @@ mod moments;
 mod page;
 pub(crate) mod plan;
 pub(crate) mod planes;
+mod scale_drawing;
 pub(crate) mod study;
 pub(crate) mod teaching;
 mod timeline;

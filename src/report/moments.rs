@@ -120,11 +120,12 @@ impl Moments {
         let (whole, cut) = (drawn.next().unwrap_or_default(), drawn.collect::<String>());
         let pictures = if cut.is_empty() { whole } else { format!("{whole}<div class=\"pair\">\n{cut}</div>\n") };
         format!(
-            "{title}<p>Outlines are the bands as fitted, crosses their middles, the arrow is the coil's direction. Best and \
-             worst: by what is missing, then by σ; they are cut to the part of the picture where the bands are.</p>\n{pictures}{}",
+            "{title}<p>Outlines are the bands as fitted, crosses their middles, the arrow is the coil's direction. \
+             Best and worst: by what is missing, then by σ; they are cut to the part of the picture where the bands \
+             are.</p>\n{pictures}{}",
             page::trouble(
-                "an outline that does not lie on its band, in either view. Then nothing below can be believed: the rig, the \
-                 colours or the lengths of the bands are others."
+                "an outline that does not lie on its band, in either view. Then nothing below can be believed: the \
+                 rig, the colours or the lengths of the bands are others."
             )
         )
     }

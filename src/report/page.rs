@@ -67,7 +67,8 @@ pub(super) fn trouble(signs: &str) -> String {
 pub(super) fn picture(jpeg: &[u8], caption: impl Into<Html>) -> String {
     let (caption, data) = (caption.into(), BASE64_STANDARD.encode(jpeg));
     format!(
-        "<figure><img alt=\"{caption}\" src=\"data:image/jpeg;base64,{data}\"><figcaption>{caption}</figcaption></figure>\n"
+        "<figure><img alt=\"{caption}\" \
+         src=\"data:image/jpeg;base64,{data}\"><figcaption>{caption}</figcaption></figure>\n"
     )
 }
 
@@ -107,8 +108,8 @@ fn parts<'a>(title: &'a str, body: &'a str) -> [&'a str; 16] {
         SAVE,
         "</script>\n</head>\n<body>\n<main>\n",
         body,
-        "<noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off here.</p>\
-         </noscript>\n</main>\n<script>\n",
+        "<noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off \
+         here.</p></noscript>\n</main>\n<script>\n",
         LINK,
         PRINT,
         "</script>\n</body>\n</html>\n",

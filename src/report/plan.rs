@@ -1,16 +1,15 @@
 //! The page of a plan: where a rig sees its catheter, how well, and what would help.
 
-use super::calibration::set_up::{ends, met};
-use super::chart::{self, CURVE, INK, PALETTE, css, css_faint, rounded};
+use super::chart::{self, INK, rounded};
 use super::html::escape;
 use super::page::{self, card, facts_table, figure, picture, table};
+use super::scale_drawing::{ScaleDrawing, met};
 use crate::median::upper_median;
-use crate::optics::Surface;
 use crate::simulate::plan::{CalibrationErrorSource, Noise, Plan, Planned};
 use image::codecs::jpeg::JpegEncoder;
 use nalgebra::Point3;
 use plotly::color::NamedColor;
-use plotly::common::{ColorBar, ColorScale, ColorScalePalette, HoverInfo, Line, Marker, MarkerSymbol, Mode, Title};
+use plotly::common::{ColorBar, ColorScale, ColorScalePalette, Marker, MarkerSymbol, Mode, Title};
 use plotly::layout::{AxisConstrain, HoverMode};
 use plotly::{Plot, Scatter};
 
@@ -75,12 +74,13 @@ pub(crate) fn page(name: &str, plan: &Plan) -> String {
     ];
     let body = format!(
         "<header><p class=\"kicker\">Catoptra · plan</p><h1>{}</h1></header>\n<dl class=\"key\">\n{}</dl>\n\
-         <p>For shapes at rest under currents all over what the coils allow: what the views see of them, and 1σ of what would \
-         be measured in one frame. All numbers are of rendered pictures and of the geometry; light, dirt and reflections of the \
-         real place come on top.</p>\n{}<h2>What the camera sees at rest</h2>\n{}<h2>The set-up to scale</h2>\n\
-         <p>From above, from near, and from the side. Lines in colour are light from the tip, by way of each view.</p>\n{}{}{}\
-         <h2>Where the tip is seen, and how well</h2>\n<p>Base frame; colours are σ of θ in one frame of a video, crosses are \
-         shapes that a view does not see, or the tracker misses.</p>\n{}{}<h2>Shapes</h2>\n{}",
+         <p>For shapes at rest under currents all over what the coils allow: what the views see of them, and 1σ of \
+         what would be measured in one frame. All numbers are of rendered pictures and of the geometry; light, dirt \
+         and reflections of the real place come on top.</p>\n{}<h2>What the camera sees at rest</h2>\n{}<h2>The set-up \
+         to scale</h2>\n<p>From above, from near, and from the side. Lines in colour are light from the tip, by way of \
+         each view.</p>\n{}{}{}<h2>Where the tip is seen, and how well</h2>\n<p>Base frame; colours are σ of θ in one \
+         frame of a video, crosses are shapes that a view does not see, or the tracker \
+         misses.</p>\n{}{}<h2>Shapes</h2>\n{}",
         escape(name),
         cards.concat(),
         suggestions(plan),
@@ -97,8 +97,8 @@ pub(crate) fn page(name: &str, plan: &Plan) -> String {
 
 fn suggestions(plan: &Plan) -> String {
     if plan.suggestions.is_empty() {
-        return "<p>Of the changes tried (a longer lens, the camera closer, mirrors turned) none helps by 5 % and keeps what is \
-                seen now.</p>\n"
+        return "<p>Of the changes tried (a longer lens, the camera closer, mirrors turned) none helps by 5 % and keeps \
+                what is seen now.</p>\n"
             .to_owned();
     }
     let rows: Vec<Vec<String>> = plan
@@ -129,17 +129,7 @@ fn rendered(plan: &Plan) -> String {
 
 /// The set-up, seen along an axis of the camera frame; or what is beyond the first surfaces only.
 fn drawing(plan: &Plan, axes: (usize, usize, f64), titles: [&str; 2], near: bool) -> Plot {
-    let flat = |p: &Point3<f64>| [p[axes.0] * 1e3, axes.2 * p[axes.1] * 1e3];
-    let axis = |title: &str| chart::value_axis(title).constrain(AxisConstrain::Domain).zero_line(false);
-    let layout = chart::layout()
-        .x_axis(axis(titles[0]))
-        .y_axis(axis(titles[1]).scale_anchor("x"))
-        .hover_mode(HoverMode::Closest);
-    let mut plot = chart::plot(layout);
-    let split = |points: &[Option<[f64; 2]>]| -> (Vec<Option<f64>>, Vec<Option<f64>>) {
-        let of = |k: usize| points.iter().map(|p| p.and_then(|p| rounded(p[k], 2))).collect();
-        (of(0), of(1))
-    };
+    let mut drawing = ScaleDrawing::new(axes, titles);
     let tip_m = plan.mount.centres_m.last().copied().unwrap_or(plan.mount.length_m);
     let mut lit: Vec<(&String, Vec<Point3<f64>>)> = plan.rig.surfaces.keys().map(|name| (name, Vec::new())).collect();
     for (k, view) in plan.rig.views.iter().enumerate() {
@@ -153,63 +143,26 @@ fn drawing(plan: &Plan, axes: (usize, usize, f64), titles: [&str; 2], near: bool
                     own.push(*point);
                 }
             }
-            light.extend(points.iter().skip(usize::from(near)).map(|p| Some(flat(p))));
-            light.extend([Some(flat(&tip)), None]);
+            light.extend(points.into_iter().skip(usize::from(near)).map(Some));
+            light.extend([Some(tip), None]);
         }
-        let (x, y) = split(&light);
-        let colour = if k == 0 { CURVE } else { PALETTE.marker(k) };
-        plot.add_trace(
-            Scatter::new(x, y)
-                .name(format!("light, {}", escape(&view.name)))
-                .mode(Mode::Lines)
-                .line(Line::new().color(css_faint(colour, 0.45)).width(1.0))
-                .connect_gaps(false)
-                .hover_info(HoverInfo::Skip),
-        );
+        drawing.light(k, &view.name, &light);
     }
-    let lines: Vec<Option<[f64; 2]>> = plan
-        .poses
-        .iter()
-        .flat_map(|pose| {
-            let at = |k: u32| pose.line.at(plan.mount.length_m * f64::from(k) / f64::from(KNOTS)).0;
-            (0..=KNOTS).map(move |k| Some(flat(&at(k)))).chain([None])
-        })
-        .collect();
-    let (x, y) = split(&lines);
-    plot.add_trace(
-        Scatter::new(x, y)
-            .name("catheter")
-            .mode(Mode::Lines)
-            .line(Line::new().color(INK).width(1.2))
-            .connect_gaps(false)
-            .hover_info(HoverInfo::Skip),
-    );
+    let line = |pose: &Planned| {
+        let at = |k: u32| pose.line.at(plan.mount.length_m * f64::from(k) / f64::from(KNOTS)).0;
+        (0..=KNOTS).map(|k| Some(at(k))).chain([None]).collect::<Vec<_>>()
+    };
+    let lines: Vec<_> = plan.poses.iter().flat_map(line).collect();
+    drawing.lines("catheter", &lines, INK, 1.2);
     for (name, points) in &lit {
-        let Some(ends) = ends(&points.iter().map(flat).collect::<Vec<_>>()) else { continue };
-        let (x, y) = split(&ends.map(Some));
-        let (colour, width) = match plan.rig.surfaces.get(*name) {
-            Some(Surface::Mirror(_)) => (css(PALETTE.miss), 4.0),
-            _ => (css(PALETTE.gap), 3.0),
-        };
-        plot.add_trace(
-            Scatter::new(x, y)
-                .name(escape(name))
-                .mode(Mode::Lines)
-                .line(Line::new().color(colour).width(width))
-                .hover_template(format!("{}<extra></extra>", escape(name))),
-        );
+        if let Some(surface) = plan.rig.surfaces.get(*name) {
+            drawing.surface(name, surface, points, "");
+        }
     }
-    if near {
-        return plot;
+    if !near {
+        drawing.camera();
     }
-    plot.add_trace(
-        Scatter::new(vec![Some(0.0)], vec![Some(0.0)])
-            .name("camera")
-            .mode(Mode::Markers)
-            .marker(Marker::new().color(INK).size(11).symbol(MarkerSymbol::Diamond))
-            .hover_template("lens<extra></extra>"),
-    );
-    plot
+    drawing.finish()
 }
 
 /// What is wrong with a shape, in words.

@@ -40,8 +40,8 @@ pub(crate) fn page(found: &Planes, coils: &[String], records: &[&Motion]) -> Str
             body += &figure(&format!("plot-{k}-{angle}"), &course(record, own, j), 260, false);
         }
     }
-    body += "<h2>Response</h2>\n<p>From each coil to each angle, about the point around which the catheter moved. Thin: full \
-             order; thick: reduced.</p>\n";
+    body += "<h2>Response</h2>\n<p>From each coil to each angle, about the point around which the catheter moved. \
+             Thin: full order; thick: reduced.</p>\n";
     for (j, angle) in OUTPUTS.iter().enumerate() {
         body += &figure(&format!("plot-response-{angle}"), &response(found, coils, j), 320, false);
     }

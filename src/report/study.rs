@@ -53,7 +53,8 @@ pub(crate) fn page(
     body += &unusual_runs(study, unusual, folder);
     body += &study.mixed_frames().map_or(String::new(), |text| format!("<p class=\"note\">{}</p>\n", escape(&text)));
     body += &groups(study, unusual);
-    body += "<h2>Run by run</h2>\n<p>Runs in the order of their folders; the name and the value show where the pointer is.</p>\n";
+    body += "<h2>Run by run</h2>\n<p>Runs in the order of their folders; the name and the value show where the pointer \
+        is.</p>\n";
     body += &figure("plot-sd", &by_run(study, "σ of θ (°)", 4, |m| m.theta.sd_deg), 320, false);
     body += &figure("plot-missed", &by_run(study, "frames without θ (%)", 2, missed_percent), 320, false);
     body += &figure("plot-rms", &by_run(study, "largest RMS residual (px)", 4, Measured::largest_rms_px), 320, false);

@@ -74,7 +74,8 @@ fn header(info: &RunInfo, tally: &Tally) -> String {
         format!("{answered}; {lost}.{angle}{moved}")
     };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra tracking report</p>\n<h1>{}</h1>\n<p class=\"verdict\">{verdict}</p>\n</header>\n",
+        "<header>\n<p class=\"kind\">Catoptra tracking report</p>\n<h1>{}</h1>\n<p \
+         class=\"verdict\">{verdict}</p>\n</header>\n",
         escape(&info.source)
     )
 }
@@ -141,11 +142,11 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
     let budget = tally.budget().map_or(String::new(), |sources| error_budget(&sources));
     format!(
         "<h2>How well</h2>\n{budget}\
-         <p>σ is the standard deviation that the tracker predicts for its own answer: of one coordinate for a marker, of one \
-         direction across for the tangent.</p>\n{}\
-         <p>Each view on its own: the residual is where the band is seen minus where the common answer of all views projects to. \
-         The RMS is of one pixel coordinate. Bands that stand close together are fitted as one piece of tube and have one residual \
-         between them. </p>\n{}{}",
+         <p>σ is the standard deviation that the tracker predicts for its own answer: of one coordinate for a marker, \
+         of one direction across for the tangent.</p>\n{}\
+         <p>Each view on its own: the residual is where the band is seen minus where the common answer of all views \
+         projects to. The RMS is of one pixel coordinate. Bands that stand close together are fitted as one piece of \
+         tube and have one residual between them. </p>\n{}{}",
         table(1, &["Quantity", "Frames answered", "Share", "Median σ"], &quantities),
         table(
             1,
@@ -161,8 +162,8 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
             &views
         ),
         trouble(
-            "a mean far from zero beside a small RMS: then the views contradict each other, and the rig or the refraction is \
-             off, not the noise."
+            "a mean far from zero beside a small RMS: then the views contradict each other, and the rig or the \
+             refraction is off, not the noise."
         ),
     )
 }
@@ -180,8 +181,8 @@ fn error_budget(sources: &[Contribution]) -> String {
     let mut rows: Vec<Vec<String>> = sources.iter().map(row).collect();
     rows.push(line("together", together(sources)));
     format!(
-        "<p>The error budget, 1σ, typical of this run. Noise averages out over frames, the rest is there in all of them alike; what \
-         time stamps add matters to dynamics only.</p>\n{}",
+        "<p>The error budget, 1σ, typical of this run. Noise averages out over frames, the rest is there in all of \
+         them alike; what time stamps add matters to dynamics only.</p>\n{}",
         table(1, &["Source of error", "θ (°)", "Tip in the base frame (mm)"], &rows)
     )
 }
@@ -194,8 +195,8 @@ fn row(name: &str, unit: &str, answered: u64, tally: &Tally, sd: Option<f64>) ->
 fn missing(course: &Course, tally: &Tally) -> String {
     let mut text = "<h2>What is missing</h2>\n".to_owned();
     if !course.has_base() {
-        text += "<p>The rig has no base frame yet, so there is no deflection angle in this run: positions and the tangent are \
-                 in the camera frame.</p>\n";
+        text += "<p>The rig has no base frame yet, so there is no deflection angle in this run: positions and the \
+                 tangent are in the camera frame.</p>\n";
     }
     let misses = tally.misses();
     if misses.is_empty() && tally.lost == 0 {
@@ -218,21 +219,21 @@ fn missing(course: &Course, tally: &Tally) -> String {
         return text;
     }
     let height = 90 + 30 * (course.reasons.len() as u32 + 1);
-    text += "<p>When: one row for each reason. Grey bars are frames that the camera never delivered, from the last frame before \
-             to the first after.</p>\n";
+    text += "<p>When: one row for each reason. Grey bars are frames that the camera never delivered, from the last \
+             frame before to the first after.</p>\n";
     text += &figure("plot-misses", &absences(course, time_title(course)), height, true);
     text + &trouble(
-        "misses in rows one below the other at the same angle of every swing: the catheter then leaves a view or is covered there. \
-         Grey bars at regular intervals: the recording computer cannot keep up.",
+        "misses in rows one below the other at the same angle of every swing: the catheter then leaves a view or is \
+         covered there. Grey bars at regular intervals: the recording computer cannot keep up.",
     )
 }
 
 /// θ over time.
 fn deflection(course: &Course) -> String {
     let words = format!(
-        "θ is the angle of the coil's tangent from rest, in the plane of B0, positive towards B0. The shaded band is θ ± σ; \
-         where it is thinner than the line, read σ below. Drag to zoom, double-click to go back: all plots over time \
-         follow. {}",
+        "θ is the angle of the coil's tangent from rest, in the plane of B0, positive towards B0. The shaded band is θ \
+         ± σ; where it is thinner than the line, read σ below. Drag to zoom, double-click to go back: all plots over \
+         time follow. {}",
         drawing_note(course)
     );
     let plot = drawn(course, Channel::Theta, "plot-theta", 430, figures::deflection);
@@ -240,7 +241,8 @@ fn deflection(course: &Course) -> String {
         "Deflection",
         &words,
         &plot,
-        "steps between neighbouring frames much larger than σ; σ that grows with the angle more than a little; breaks in the line.",
+        "steps between neighbouring frames much larger than σ; σ that grows with the angle more than a little; breaks \
+         in the line.",
     )
 }
 
@@ -255,25 +257,28 @@ fn motion(course: &Course) -> String {
         n => format!("One frame in {n} is drawn."),
     };
     let words = format!(
-        "Where the markers went, in the {} frame, all axes to the same scale. Drag to turn, scroll to come nearer; a click on a \
-         name hides it. Thin grey lines join the markers at some moments; they are chords, the tube itself is curved. {kept}",
+        "Where the markers went, in the {} frame, all axes to the same scale. Drag to turn, scroll to come nearer; a \
+         click on a name hides it. Thin grey lines join the markers at some moments; they are chords, the tube itself \
+         is curved. {kept}",
         frame_name(course)
     );
     let mut out = section(
         "Paths in space",
         &words,
         &plot,
-        "single points far from the path; a base marker that moves with the others by more than its σ: the clamp is loose, or the rig is off.",
+        "single points far from the path; a base marker that moves with the others by more than its σ: the clamp is \
+         loose, or the rig is off.",
     );
     if course.has_base() {
         let plot = drawn(course, Channel::Polar, "plot-polar", 400, figures::polar);
         out += &section(
             "Polar and azimuth",
-            "The same tangent as a direction in space: polar is its angle from rest, azimuth the direction it leans to, 0° along \
-             B0 and 90° along y. Near rest the azimuth has no meaning and jumps. It is drawn from −90° to 270°: there 180° has no seam.",
+            "The same tangent as a direction in space: polar is its angle from rest, azimuth the direction it leans \
+             to, 0° along B0 and 90° along y. Near rest the azimuth has no meaning and jumps. It is drawn from −90° to \
+             270°: there 180° has no seam.",
             &plot,
-            "in a planar motion, an azimuth that strays from 0° and 180° while the polar angle is large: the catheter leaves the plane, \
-             or B0 is not where the rig says.",
+            "in a planar motion, an azimuth that strays from 0° and 180° while the polar angle is large: the catheter \
+             leaves the plane, or B0 is not where the rig says.",
         );
     }
     out
@@ -294,13 +299,15 @@ fn views(course: &Course, tally: &Tally) -> String {
         "Residuals",
         "By how many pixels each view disagrees with the common answer of all views (length of the residual).",
         &(alarms(course, tally) + &each("residual", &|v| figures::residuals(course, v, time))),
-        "one marker standing above the others in one view, or residuals that follow the motion: an error of the rig, of the tube's \
-         measures or of the refraction. A few high frames are noise or a reflection.",
+        "one marker standing above the others in one view, or residuals that follow the motion: an error of the rig, \
+         of the tube's measures or of the refraction. A few high frames are noise or a reflection.",
     ) + &section(
         "Colour separation",
-        "How well a band's colour stands out from what surrounds it: 1 as when its colour was learned, 0 indistinguishable.",
+        "How well a band's colour stands out from what surrounds it: 1 as when its colour was learned, 0 \
+         indistinguishable.",
         &each("separation", &|v| figures::separation(course, v, time)),
-        "a slow fall: the light changes or the water clouds. Dips at some angles: shadow or glare. Below about 0.5 misses begin.",
+        "a slow fall: the light changes or the water clouds. Dips at some angles: shadow or glare. Below about 0.5 \
+         misses begin.",
     )
 }
 
@@ -311,11 +318,12 @@ fn alarms(course: &Course, tally: &Tally) -> String {
         let base = if course.has_base() {
             "The base band rests where the base frame has its origin, within 0.3 mm in the mean over seconds."
         } else {
-            "(A mirror that was shifted along its normal can go unnoticed here: it moves the answer, not the residual. With a base \
-             frame in the rig the place of the base band shows it.)"
+            "(A mirror that was shifted along its normal can go unnoticed here: it moves the answer, not the residual. \
+             With a base frame in the rig the place of the base band shows it.)"
         };
         return format!(
-            "<p>The views fit together all the time: no disagreement of more than 0.3 px in the mean over seconds. {base}</p>\n"
+            "<p>The views fit together all the time: no disagreement of more than 0.3 px in the mean over seconds. \
+             {base}</p>\n"
         );
     }
     let row = |alarm: &AlarmInWords| {
@@ -359,8 +367,8 @@ fn drawing_note(course: &Course) -> String {
     match course.timeline.frames_per_bin() {
         1 => "Every frame is drawn.".to_owned(),
         n => format!(
-            "The run is long: curves pass through the smallest and the largest value of every {n} frames, so that no peak is lost. \
-             Every single frame is in the log and the table."
+            "The run is long: curves pass through the smallest and the largest value of every {n} frames, so that no \
+             peak is lost. Every single frame is in the log and the table."
         ),
     }
 }

@@ -315,7 +315,8 @@ impl Check<'_> {
             let Some((before, after)) = crossing.media else { continue };
             if let Some(medium) = medium.filter(|medium| (medium - before).abs() > 1e-9) {
                 let expected = format!(
-                    "one medium between surfaces, but `{surface}` is met from index {before} while the ray is in {medium}"
+                    "one medium between surfaces, but `{surface}` is met from index {before} while the ray is in \
+                     {medium}"
                 );
                 return Err(self.value(&key, &path, expected));
             }

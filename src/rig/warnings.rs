@@ -133,8 +133,8 @@ impl fmt::Display for Warning {
             Self::NarrowTube { view, width_px } => {
                 write!(
                     f,
-                    "view {view}: the tube is {width_px:.1} pixels wide; below {LEAST_TUBE_PX:.0} some frames are missed and σ is \
-                     too small: use larger pictures or a longer lens"
+                    "view {view}: the tube is {width_px:.1} pixels wide; below {LEAST_TUBE_PX:.0} some frames are \
+                     missed and σ is too small: use larger pictures or a longer lens"
                 )
             }
             Self::NarrowAngle { angle_rad } => {
@@ -164,7 +164,8 @@ impl fmt::Display for Warning {
             Self::PrincipalPoint { distance_px } => {
                 write!(
                     f,
-                    "the principal point is {distance_px:.0} px from the picture's middle: cropped pictures, or a poor calibration?"
+                    "the principal point is {distance_px:.0} px from the picture's middle: cropped pictures, or a poor \
+                     calibration?"
                 )
             }
             Self::NoColour { markers } => {

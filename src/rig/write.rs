@@ -2,7 +2,7 @@
 
 use super::numbers::{decimal, millimetres, rotation_of, round_stably};
 use super::{Base, Camera, Catheter, ColourPlane, Draft, Marker, RigError, View};
-use crate::atomic_file::NewFile;
+use crate::atomic_file::{NewFile, backup_names};
 use crate::optics::Surface;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
@@ -56,14 +56,7 @@ pub(super) fn save(rig: &Draft, path: &Path, keep: bool) -> Result<Option<PathBu
 
 /// Writes `old` beside `path`, under the first free backup name.
 fn keep_beside(path: &Path, old: &[u8]) -> Result<PathBuf, RigError> {
-    let named = |n: u32| {
-        let mut name = path.as_os_str().to_owned();
-        name.push(if n == 1 { ".bak".to_owned() } else { format!(".bak{n}") });
-        PathBuf::from(name)
-    };
-    let mut number = 1;
-    loop {
-        let backup = named(number);
+    for backup in backup_names(path) {
         let written = File::create_new(&backup).and_then(|mut file| {
             let written = file.write_all(old).and_then(|()| file.sync_all());
             // Half a backup could be mistaken for a whole one; this file is new and ours to remove.
@@ -71,10 +64,11 @@ fn keep_beside(path: &Path, old: &[u8]) -> Result<PathBuf, RigError> {
         });
         match written {
             Ok(()) => return Ok(backup),
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => number += 1,
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
             Err(source) => return Err(RigError::Write { file: backup, source }),
         }
     }
+    Err(RigError::Write { file: path.to_path_buf(), source: ErrorKind::AlreadyExists.into() })
 }
 
 fn camera(camera: &Camera) -> String {
@@ -109,8 +103,8 @@ fn camera(camera: &Camera) -> String {
 }
 
 fn surface(first: bool, name: &str, surface: &Surface) -> String {
-    let head = "# Planes normal·X = offset_mm. A mirror's normal points to the side it reflects on, a wall's outwards;\n\
-                # a wall's plane is its outer face.\n";
+    let head = "# Planes normal·X = offset_mm. A mirror's normal points to the side it reflects on, a wall's \
+                outwards;\n# a wall's plane is its outer face.\n";
     let plane = surface.plane();
     let (kind, wall) = match surface {
         Surface::Mirror(_) => ("mirror", None),
@@ -147,8 +141,8 @@ fn view(first: bool, view: &View) -> String {
 }
 
 fn marker(first: bool, marker: &Marker, views: &[View]) -> String {
-    let head = "# Bands, from the clamp to the tip; centre_mm is the middle of the band along the tube, as learned from the edge of\n\
-                # the first band that is nearer to the clamp.\n";
+    let head = "# Bands, from the clamp to the tip; centre_mm is the middle of the band along the tube, as learned \
+                from the edge of\n# the first band that is nearer to the clamp.\n";
     let mut text = format!(
         "{}[[marker]]\nname = \"{}\"\nlength_mm = {}\n",
         if first { head } else { "" },
@@ -164,8 +158,8 @@ fn marker(first: bool, marker: &Marker, views: &[View]) -> String {
     }
     let models = &marker.colours;
     for (i, colour) in models.iter().enumerate() {
-        let head = "\n# score = the least of r·R + g·G + b·B + bias over the planes [r, g, b, bias]: about 1 on the band, below 0.5\n\
-                    # elsewhere; rgb is its mean colour, 0 to 255.\n";
+        let head = "\n# score = the least of r·R + g·G + b·B + bias over the planes [r, g, b, bias]: about 1 on the \
+                    band, below 0.5\n# elsewhere; rgb is its mean colour, 0 to 255.\n";
         let _ = writeln!(text, "{}[[marker.colours]]", if i == 0 { head } else { "\n" });
         if let Some(view) = views.get(i).filter(|_| models.len() > 1) {
             let _ = writeln!(text, "view = \"{}\"", view.name);
@@ -212,8 +206,8 @@ fn base(base: &Base) -> String {
     }
     let _ = write!(
         text,
-        "\n# X_base = rotation · X_camera + translation; the rows are the axes x, y, z of the base in the camera frame.\n\
-         [base.base_from_camera]\nrotation = [\n{}]\ntranslation_mm = {}\n",
+        "\n# X_base = rotation · X_camera + translation; the rows are the axes x, y, z of the base in the camera \
+         frame.\n[base.base_from_camera]\nrotation = [\n{}]\ntranslation_mm = {}\n",
         rows.chunks(3)
             .map(|row| format!("    {},\n", list(row.iter().map(|v| decimal(*v, DIRECTION_DECIMALS)))))
             .collect::<String>(),

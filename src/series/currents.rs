@@ -97,7 +97,8 @@ impl CurrentTable {
         let clocks = recording.clocks().filter(|_| host);
         if host && clocks.is_none() {
             let problem = format!(
-                "has times of the host, and {} does not tell how these stand to the camera's: give the log of a live run, or a table with stamp_ns or t_s",
+                "has times of the host, and {} does not tell how these stand to the camera's: give the log of a live \
+                 run, or a table with stamp_ns or t_s",
                 recording.path.display()
             );
             return Err(SeriesError::Content { path: self.path.clone(), problem });

@@ -120,8 +120,8 @@ impl Recording {
     /// Reads a log, a table, or a run of the laboratory's tracker, recognised by its content.
     ///
     /// # Errors
-    /// When the file cannot be read or is neither, or the vetoes beside it cannot be read. A file without a frame is not
-    /// an error.
+    /// When the file cannot be read or is neither, or the vetoes beside it cannot be read. A file without a frame is
+    /// not an error.
     pub fn read(path: &Path) -> Result<Self, SeriesError> {
         let mut recording = Self::as_measured(path)?;
         recording.leave_out(&Vetoes::beside(path)?);

@@ -39,8 +39,8 @@ impl Recording {
             return Err(SeriesError::Content {
                 path: self.path.clone(),
                 problem: format!(
-                    "its tick is {} in all {} frames: the count of commands never reached the camera; check the lamp or \
-                     line, or remove the column `tick` to go by the clock",
+                    "its tick is {} in all {} frames: the count of commands never reached the camera; check the lamp \
+                     or line, or remove the column `tick` to go by the clock",
                     first.1,
                     seen.len()
                 ),

@@ -48,8 +48,8 @@ impl Reader {
         Self { sensor, table: Table::new(), normals }
     }
 
-    /// Bytes R'G'B' of rows of light; `row` puts each into what it is given, three values per pixel. `seed` is that of the
-    /// picture's noise.
+    /// Bytes R'G'B' of rows of light; `row` puts each into what it is given, three values per pixel. `seed` is that of
+    /// the picture's noise.
     pub(super) fn read(&self, size_px: [usize; 2], seed: u64, mut row: impl FnMut(usize, &mut Vec<f32>)) -> Vec<u8> {
         let [width, height] = size_px;
         let mut bytes = vec![0; 3 * width * height];

@@ -1,5 +1,5 @@
-//! Pictures of R'G'B', whole and as a video stores them: Y'CbCr of BT.709, limited range, chroma halved both ways and sited on the left, as H.264
-//! has it when nothing else is said (ITU-T H.264, annex E; ITU-R BT.709-6, §3).
+//! Pictures of R'G'B', whole and as a video stores them: Y'CbCr of BT.709, limited range, chroma halved both ways and
+//! sited on the left, as H.264 has it when nothing else is said (ITU-T H.264, annex E; ITU-R BT.709-6, §3).
 
 use crate::source::{ChromaSiting, Colour, Picture, PictureError, PixelFormat, Range, Transfer};
 

@@ -1,5 +1,5 @@
-//! [`RosSink`]: the topics of a log of profile `ros2`, live over DDS, to ROS 2 nodes and to other programs. Pure Rust: no
-//! ROS installation is needed.
+//! [`RosSink`]: the topics of a log of profile `ros2`, live over DDS, to ROS 2 nodes and to other programs. Pure Rust:
+//! no ROS installation is needed.
 //!
 //! Stamps are on the host's clock; `/camera/time_reference` has the camera's own for every frame. `/tf_static` is kept
 //! for late subscribers; `/camera/camera_info` is repeated about once a second. Nothing here waits for a subscriber: a

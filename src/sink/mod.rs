@@ -169,7 +169,8 @@ pub enum SinkError {
         source: opencv::Error,
     },
     /// A picture that does not fit the rig.
-    #[error("cannot write {path}: picture of {}x{} pixels, the rig's camera has {}x{}", found[0], found[1], expected[0], expected[1])]
+    #[error("cannot write {path}: picture of {}x{} pixels, the rig's camera has \
+        {}x{}", found[0], found[1], expected[0], expected[1])]
     PictureSize {
         /// Which file.
         path: PathBuf,

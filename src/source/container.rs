@@ -171,8 +171,8 @@ pub(super) fn open_decoder(
     };
     if !matches!(stream.parameters().field_order(), av::FieldOrder::Progressive | av::FieldOrder::Unknown) {
         tracing::warn!(
-            "{}: the recording is interlaced: odd and even rows were taken at different times, and what moves is not where it \
-             seems to be",
+            "{}: the recording is interlaced: odd and even rows were taken at different times, and what moves is not \
+             where it seems to be",
             path.display()
         );
     }
@@ -181,8 +181,8 @@ pub(super) fn open_decoder(
     };
     if stream.side_data().any(turned) {
         tracing::warn!(
-            "{}: the recording asks players to turn or mirror its pictures; they are taken as the camera stored them, and \
-             pixels of a player that turns them are others",
+            "{}: the recording asks players to turn or mirror its pictures; they are taken as the camera stored them, \
+             and pixels of a player that turns them are others",
             path.display()
         );
     }

@@ -64,8 +64,8 @@ pub enum SourceError {
         reason: String,
     },
     /// No container that libav knows.
-    #[error("{}: is not a video that can be read ({reason}); recordings may be Matroska (.mkv), MP4, AVI and others that \
-        FFmpeg reads", path.display())]
+    #[error("{}: is not a video that can be read ({reason}); recordings may be Matroska (.mkv), MP4, AVI and others \
+        that FFmpeg reads", path.display())]
     NotAVideo {
         /// The file.
         path: PathBuf,
@@ -73,8 +73,9 @@ pub enum SourceError {
         reason: String,
     },
     /// An MP4 whose index was never written or is cut off.
-    #[error("{}: the recording's index (\"moov\") is missing: it was not finished, or the file is cut off. Copy the file \
-        again; if the recorder was interrupted, a repair tool needs a whole recording of the same camera", path.display())]
+    #[error("{}: the recording's index (\"moov\") is missing: it was not finished, or the file is cut off. Copy the \
+        file again; if the recorder was interrupted, a repair tool needs a whole recording of the same \
+        camera", path.display())]
     NoIndex {
         /// The file.
         path: PathBuf,
@@ -98,8 +99,8 @@ pub enum SourceError {
         reason: String,
     },
     /// A pixel format that is not read.
-    #[error("{}: pixel format {format} is not supported; planar YUV, NV12, packed or planar RGB and grey are: convert it, for \
-        example with ffmpeg -pix_fmt yuv444p", path.display())]
+    #[error("{}: pixel format {format} is not supported; planar YUV, NV12, packed or planar RGB and grey are: convert \
+        it, for example with ffmpeg -pix_fmt yuv444p", path.display())]
     PixelFormat {
         /// The file.
         path: PathBuf,
@@ -107,7 +108,8 @@ pub enum SourceError {
         format: String,
     },
     /// A YUV matrix that is not read.
-    #[error("{}: colours in {matrix} are not supported; BT.601, BT.709 and BT.2020 (non-constant luminance) are", path.display())]
+    #[error("{}: colours in {matrix} are not supported; BT.601, BT.709 and BT.2020 (non-constant luminance) \
+        are", path.display())]
     Matrix {
         /// The file.
         path: PathBuf,
@@ -130,8 +132,8 @@ pub enum SourceError {
         after: [u32; 2],
     },
     /// A frame without a time.
-    #[error("{}: frame {seq} has no time stamp; catoptra never makes one up from the frame number. Raw streams have none: \
-        state their rate with --fps, or put the stream into a container that has times", path.display())]
+    #[error("{}: frame {seq} has no time stamp; catoptra never makes one up from the frame number. Raw streams have \
+        none: state their rate with --fps, or put the stream into a container that has times", path.display())]
     NoTime {
         /// The file.
         path: PathBuf,
@@ -161,8 +163,8 @@ pub enum SourceError {
     Log(#[from] LogError),
     /// A log without pictures.
     #[error(
-        "{}: this log holds no pictures, so it cannot be tracked again: record them with `catoptra live … --record windows`, \
-        or track the video beside it, if it was recorded with `--record ffv1` or `h264`", path.display()
+        "{}: this log holds no pictures, so it cannot be tracked again: record them with `catoptra live … --record \
+        windows`, or track the video beside it, if it was recorded with `--record ffv1` or `h264`", path.display()
     )]
     LogWithoutPictures {
         /// The log.
@@ -208,8 +210,8 @@ pub enum SourceError {
         to_s: f64,
     },
     /// A frame rate stated for a recording.
-    #[error("{}: a recording has its own time stamps; a frame rate may be stated for a folder of pictures or a raw stream \
-        (.h264) only", path.display())]
+    #[error("{}: a recording has its own time stamps; a frame rate may be stated for a folder of pictures or a raw \
+        stream (.h264) only", path.display())]
     RateOfVideo {
         /// The file.
         path: PathBuf,
@@ -227,14 +229,15 @@ pub enum SourceError {
         cure: Option<String>,
     },
     /// A folder of pictures without times.
-    #[error("{}: the pictures have no times. Put a table times.csv beside them (header \"file,t_s\", or \"file,stamp_ns\"; \
-        a row for each picture), or state their rate with --fps", path.display())]
+    #[error("{}: the pictures have no times. Put a table times.csv beside them (header \"file,t_s\", \
+        or \"file,stamp_ns\"; a row for each picture), or state their rate with --fps", path.display())]
     NoTimes {
         /// The folder.
         path: PathBuf,
     },
     /// A table of times and a stated rate.
-    #[error("{}: has times.csv, and {rate} frames per second are stated: leave out --fps, or move the table away", path.display())]
+    #[error("{}: has times.csv, and {rate} frames per second are stated: leave out --fps, or move the table \
+        away", path.display())]
     TwoTimes {
         /// The folder.
         path: PathBuf,

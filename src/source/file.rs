@@ -314,17 +314,7 @@ impl VideoFile {
             let Some(decoded) = next else {
                 return self.end();
             };
-            let stamp = match self.stamp(&decoded.frame) {
-                // The first packets of some senders have none.
-                Err(SourceError::NoTime { .. }) if self.clock == Clock::Stream && self.seq == 0 => {
-                    self.faults.unstamped += 1;
-                    if self.faults.unstamped == 1 {
-                        tracing::warn!("{}: frames before the first time stamp are left out", self.path.display());
-                    }
-                    continue;
-                }
-                stamp => stamp?,
-            };
+            let Some(stamp) = self.stamp_if_any(&decoded.frame)? else { continue };
             if self.span.from_ns.is_some_and(|from| stamp.ns < from) {
                 self.before_ns = Some(stamp.ns);
                 continue;
@@ -343,19 +333,10 @@ impl VideoFile {
                     continue;
                 }
             }
-            let after = [decoded.frame.width(), decoded.frame.height()];
             if self.size_px == [0, 0] {
-                self.size_px = after;
+                self.size_px = [decoded.frame.width(), decoded.frame.height()];
             }
-            if after != self.size_px && self.clock == Clock::Container {
-                return Err(SourceError::SizeChange {
-                    path: self.path.clone(),
-                    at: format!("{} s", stamp.seconds()),
-                    seq: self.seq,
-                    before: self.size_px,
-                    after,
-                });
-            }
+            self.check_size(&decoded.frame, stamp)?;
             self.arrival = self.decoding.arrival_of(&decoded);
             let steps = self.decoding.steps_of(&decoded);
             let picture = self.pictures.picture(decoded.frame)?.of_jpeg(steps.as_ref());
@@ -367,6 +348,36 @@ impl VideoFile {
             return Ok(Some(self.frame(stamp, picture)));
         }
         Ok(None)
+    }
+
+    /// The stamp of a frame; `None` for the first frames of a stream without any, which are left out and counted.
+    fn stamp_if_any(&mut self, frame: &av::frame::Video) -> Result<Option<Timestamp>, SourceError> {
+        match self.stamp(frame) {
+            // The first packets of some senders have none.
+            Err(SourceError::NoTime { .. }) if self.clock == Clock::Stream && self.seq == 0 => {
+                self.faults.unstamped += 1;
+                if self.faults.unstamped == 1 {
+                    tracing::warn!("{}: frames before the first time stamp are left out", self.path.display());
+                }
+                Ok(None)
+            }
+            stamp => stamp.map(Some),
+        }
+    }
+
+    /// The pictures of a recording have one size.
+    fn check_size(&self, frame: &av::frame::Video, stamp: Timestamp) -> Result<(), SourceError> {
+        let after = [frame.width(), frame.height()];
+        if after == self.size_px || self.clock != Clock::Container {
+            return Ok(());
+        }
+        Err(SourceError::SizeChange {
+            path: self.path.clone(),
+            at: format!("{} s", stamp.seconds()),
+            seq: self.seq,
+            before: self.size_px,
+            after,
+        })
     }
 
     fn frame(&mut self, stamp: Timestamp, picture: Picture) -> Frame {

@@ -319,7 +319,8 @@ fn warn_of_missing_numbers(folder: &Path, names: &[String]) {
     let jump = names.iter().zip(names.iter().skip(1)).zip(steps()).find(|(_, step)| Some(*step) != usual);
     if let Some(((before, after), _)) = jump {
         tracing::warn!(
-            "{}: {before} is followed by {after}; at a stated frame rate no picture may be missing, or all later times are wrong",
+            "{}: {before} is followed by {after}; at a stated frame rate no picture may be missing, or all later times \
+             are wrong",
             folder.display()
         );
     }

@@ -358,7 +358,8 @@ fn paste(planes: &mut [Vec<u8>], layout: &Layout, window: &DynamicMessage) -> Re
     let inside = |from: u32, size: u32, all: usize| size > 0 && u64::from(from) + u64::from(size) <= all as u64;
     if !(inside(x, width, plane_width) && inside(y, height, plane_height)) {
         return Err(format!(
-            "a window of {width}x{height} samples at {x}, {y} does not lie in plane {index} of {plane_width}x{plane_height}"
+            "a window of {width}x{height} samples at {x}, {y} does not lie in plane {index} of \
+             {plane_width}x{plane_height}"
         ));
     }
     let format = text(window, "format").unwrap_or_default();

@@ -25,8 +25,8 @@ pub(crate) fn conversion_advice(folder: &Path) -> Option<String> {
     let pictures = plural(count, "picture");
     let all = endings.join(", ");
     Some(format!(
-        "{pictures} ending in {all} cannot be read: make PNG of them, which loses nothing, for example with ImageMagick: \
-         mogrify -format png *.{first}"
+        "{pictures} ending in {all} cannot be read: make PNG of them, which loses nothing, for example with \
+         ImageMagick: mogrify -format png *.{first}"
     ))
 }
 

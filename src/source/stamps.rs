@@ -26,8 +26,8 @@ impl StampWatch {
         {
             self.varying_named = true;
             tracing::warn!(
-                "{}: the time from frame to frame varies (median {:.3} ms): single lost frames cannot be told from long \
-                 steps and are not counted",
+                "{}: the time from frame to frame varies (median {:.3} ms): single lost frames cannot be told from \
+                 long steps and are not counted",
                 self.name,
                 median_ns * 1e-6
             );
@@ -57,7 +57,8 @@ impl StampWatch {
                 faults.backward_stamps += 1;
                 if faults.backward_stamps == 1 {
                     tracing::warn!(
-                        "{name}: frame {seq} at {at_s} s is {} s earlier than one before it; it is kept, more are counted",
+                        "{name}: frame {seq} at {at_s} s is {} s earlier than one before it; it is kept, more are \
+                         counted",
                         seconds(by_ns)
                     );
                 }

@@ -11,7 +11,7 @@
 //!
 //! Cannot tell: errors that no σ covers, such as a moved mirror, or places outside the boards' volume.
 
-use crate::calibrate::rig::share::{Pose, share};
+use crate::calibrate::rig::share::{CatheterPose, share};
 use crate::estimate::Estimate;
 use crate::rig::{Draft, Rig};
 use nalgebra::Vector3;
@@ -38,7 +38,7 @@ pub(super) struct BudgetData {
     base_sd: Option<(Vector3<f64>, Vector3<f64>)>,
     coil: usize,
     tip: usize,
-    poses: Vec<Pose>,
+    poses: Vec<CatheterPose>,
     stride: u64,
     seen: u64,
     /// Stamp, θ and tip of the previous frame.
@@ -84,7 +84,7 @@ impl BudgetData {
         }
         self.last = Some((ns, deflection.theta_rad, tip.point.coords));
         if self.seen.is_multiple_of(self.stride.max(1)) {
-            self.poses.push(Pose { coil: coil.point, tangent: tangent.direction, tip: tip.point });
+            self.poses.push(CatheterPose { coil: coil.point, tangent: tangent.direction, tip: tip.point });
         }
         self.seen += 1;
         if self.poses.len() > MAX_MOMENTS {
@@ -117,7 +117,7 @@ impl BudgetData {
         let (origin_m, axes_rad) = self.base_sd.ok_or_else(missing)?;
         let base_from_camera = rig.base.as_ref().ok_or_else(missing)?.base_from_camera;
         // A rotation ω moves a point at r by ω × r.
-        let of_turn = |pose: &Pose| {
+        let of_turn = |pose: &CatheterPose| {
             let r = (base_from_camera * pose.tip).coords;
             (0..3).map(|i| axes_rad[i].powi(2) * (r.norm_squared() - r[i] * r[i])).sum::<f64>()
         };

@@ -114,8 +114,8 @@ impl DesiredPath {
         let length = self.points.len();
         ((last - first).norm() <= REPEATED * (second - first).norm()).then(|| {
             format!(
-                "its last point repeats the first, and both are commanded: a period is {length} commands; if it was {}, leave \
-                 the last row out",
+                "its last point repeats the first, and both are commanded: a period is {length} commands; if it was \
+                 {}, leave the last row out",
                 length - 1
             )
         })

@@ -163,10 +163,10 @@ impl Periods {
         // A phase that falls by 360° per period belongs to commands that take twice as long.
         let held_ms = pause_s * (1.0 - self.drift_deg / 360.0) * 1e3;
         Some(format!(
-            "the phase is not the same in all periods: from period {first} to {last} it changes by {:+.2}° ± {:.2}° per \
-             period, at most by {by:+.1}° (from period {before} to {after}). If evenly, commands were held for {held_ms:.4} ms \
-             of the camera's clock, not {:.4} ms: check --pause and the clocks. If at once, a clock jumped or commands were \
-             lost. If less and less, leave out more periods with --skip",
+            "the phase is not the same in all periods: from period {first} to {last} it changes by {:+.2}° ± {:.2}° \
+             per period, at most by {by:+.1}° (from period {before} to {after}). If evenly, commands were held for \
+             {held_ms:.4} ms of the camera's clock, not {:.4} ms: check --pause and the clocks. If at once, a clock \
+             jumped or commands were lost. If less and less, leave out more periods with --skip",
             self.drift_deg,
             self.drift_sd_deg,
             pause_s * 1e3
@@ -177,8 +177,8 @@ impl Periods {
         let Change { between: (before, after), by, .. } = self.shift;
         self.shift.exceeds(SAME_PLACE * self.size_m).then(|| {
             format!(
-                "the middle of the motion is {:.2} mm away in period {after} from where it is in period {before}: camera, \
-                 base or catheter were moved, or the motion has not settled; errors and magnitude contain it",
+                "the middle of the motion is {:.2} mm away in period {after} from where it is in period {before}: \
+                 camera, base or catheter were moved, or the motion has not settled; errors and magnitude contain it",
                 by * 1e3
             )
         })

@@ -157,8 +157,9 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     notes.extend(note);
     if start_from == StartFrom::Search {
         notes.push(
-            "the start was found by correlation, which absorbs the lag: there is no phase, and errors are without it too"
-                .to_owned(),
+            "the start was found by correlation, which absorbs the lag: there is no phase, and errors are without it \
+             too"
+            .to_owned(),
         );
     }
     let pause_ns = window.pause_ns;
@@ -331,15 +332,15 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
     let (start_ns, start_from) = given.or(ticked).or_else(logged).or_else(searched).ok_or_else(|| {
         let (needs, has) = (path.commands() as f64 * seconds(pause_ns), span_s(samples));
         wrong(format!(
-            "the start of the commands cannot be found: they take {needs:.3} s, the record has {has:.3} s of motion; give \
-             --start, or check --pause and --periods"
+            "the start of the commands cannot be found: they take {needs:.3} s, the record has {has:.3} s of motion; \
+             give --start, or check --pause and --periods"
         ))
     })?;
     if let Some(correlation) = start_correlation.filter(|correlation| *correlation < WEAK_CORRELATION) {
         return Err(wrong(format!(
-            "the start of the commands cannot be found: the motion correlates with the path by {correlation:.2} at best, of \
-             1; {WEAK_CORRELATION} is needed. Does the marker move, along this path, with these axes, --pause and --periods? \
-             If so, give --start"
+            "the start of the commands cannot be found: the motion correlates with the path by {correlation:.2} at \
+             best, of 1; {WEAK_CORRELATION} is needed. Does the marker move, along this path, with these axes, --pause \
+             and --periods? If so, give --start"
         )));
     }
     let window = Window { start_ns, pause_ns, commands: path.commands() };
@@ -349,8 +350,8 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
         let (first, last) = (recording.frames.first(), recording.frames.last());
         let at = |frame: Option<&Frame>| seconds(frame.map_or(0, |frame| frame.stamp_ns));
         return Err(wrong(format!(
-            "no frame is from the time of the commands: these are from {:.3} s to {:.3} s, the frames from {:.3} s to {:.3} s \
-             of the camera's clock; check --start",
+            "no frame is from the time of the commands: these are from {:.3} s to {:.3} s, the frames from {:.3} s to \
+             {:.3} s of the camera's clock; check --start",
             seconds(window.start_ns),
             seconds(window.end_ns()),
             at(first),
@@ -384,8 +385,8 @@ fn all_periods_are_there(path: &DesiredPath, recording: &Recording, window: &Win
     Err(ValidateError::Run {
         path: recording.path.clone(),
         problem: format!(
-            "the record ends at {:.3} s of the camera's clock, {} periods of commands at {:.3} s: {whole} of them are in it; \
-             give --periods {}, or check --pause and --start",
+            "the record ends at {:.3} s of the camera's clock, {} periods of commands at {:.3} s: {whole} of them are \
+             in it; give --periods {}, or check --pause and --start",
             seconds(last_ns),
             path.periods,
             seconds(window.end_ns()),
@@ -396,7 +397,10 @@ fn all_periods_are_there(path: &DesiredPath, recording: &Recording, window: &Win
 
 fn many_left_out(left_out: usize, commands: usize) -> Option<String> {
     (left_out as f64 > MANY_LEFT_OUT * commands as f64).then(|| {
-        format!("{left_out} of {commands} commands have no point: the marker was not seen, or frames were lost, or the record ends")
+        format!(
+            "{left_out} of {commands} commands have no point: the marker was not seen, or frames were lost, or the \
+            record ends"
+        )
     })
 }
 
@@ -407,8 +411,8 @@ fn other_unit(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> Option<Strin
     let close = (OTHER_UNIT.recip()..=OTHER_UNIT).contains(&ratio);
     (!close).then(|| {
         format!(
-            "the motion has a size of {:.3} mm, the path one of {:.3} mm, which is hardly the same unit: both must be in mm (or the \
-             marker does not move)",
+            "the motion has a size of {:.3} mm, the path one of {:.3} mm, which is hardly the same unit: both must be \
+             in mm (or the marker does not move)",
             observed_m * 1e3,
             desired_m * 1e3
         )
@@ -426,7 +430,8 @@ fn in_order(frames: &[Frame]) -> Result<(), String> {
     }
     match frames.iter().zip(frames.iter().skip(1)).find(|(before, after)| after.stamp_ns <= before.stamp_ns) {
         Some((before, after)) => Err(format!(
-            "frame {} ({} s) is not later than frame {} ({} s): the camera's clock restarted; use the part before or after",
+            "frame {} ({} s) is not later than frame {} ({} s): the camera's clock restarted; use the part before or \
+             after",
             after.seq,
             seconds(after.stamp_ns),
             before.seq,

@@ -66,8 +66,8 @@ impl Settling {
         let last = self.last_db.map_or(String::new(), |db| format!(" (the last period alone has {db:.1} dB)"));
         self.is_unsettled().then(|| {
             format!(
-                "the motion has not become periodic: from one period to the next it still changes by {:.0} % of its size, \
-                 so its magnitude is too large{last}; command more periods and leave out more with --skip",
+                "the motion has not become periodic: from one period to the next it still changes by {:.0} % of its \
+                 size, so its magnitude is too large{last}; command more periods and leave out more with --skip",
                 100.0 * self.change_m / self.size_m
             )
         })

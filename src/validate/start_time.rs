@@ -66,7 +66,8 @@ pub(super) fn from_ticks(
     let off = measured_ns / pause_ns as f64 - 1.0;
     if off.abs() > PAUSE_TOLERANCE {
         let note = format!(
-            "by the ticks a command was held for {:.3} ms, not {:.3} ms: check --pause; only the start is taken from them",
+            "by the ticks a command was held for {:.3} ms, not {:.3} ms: check --pause; only the start is taken from \
+             them",
             measured_ns * 1e-6,
             pause_ns as f64 * 1e-6
         );

@@ -142,7 +142,8 @@ pub enum BaseError {
     },
     /// Motion in a recording at rest.
     #[error(
-        "not at rest: {quantity} scatters by {} (RMS), {} would be the limit of noise; wait until catheter and water are still",
+        "not at rest: {quantity} scatters by {} (RMS), {} would be the limit of noise; wait until catheter and water \
+         are still",
         quantity.with_unit(*rms), quantity.with_unit(*allowed)
     )]
     Moves {
@@ -155,8 +156,8 @@ pub enum BaseError {
     },
     /// Slow motion in a recording at rest.
     #[error(
-        "not at rest: {quantity} drifts by {} from the first to the last fifth of the recording, {} would be the limit of \
-         noise; wait until it has settled, and see that nothing slips",
+        "not at rest: {quantity} drifts by {} from the first to the last fifth of the recording, {} would be the limit \
+         of noise; wait until it has settled, and see that nothing slips",
         quantity.with_unit(*by), quantity.with_unit(*allowed)
     )]
     Drifts {
@@ -178,8 +179,8 @@ pub enum BaseError {
     },
     /// A planar run that is not planar.
     #[error(
-        "not planar: the coil swings by {:.1}° (RMS) along the best plane through its rest, and by {:.1}° across it; drive one \
-         coil only, and slowly, or give B0 with --b0",
+        "not planar: the coil swings by {:.1}° (RMS) along the best plane through its rest, and by {:.1}° across it; \
+         drive one coil only, and slowly, or give B0 with --b0",
         along_rad.to_degrees(), across_rad.to_degrees()
     )]
     NotPlanar {
@@ -190,8 +191,8 @@ pub enum BaseError {
     },
     /// B0 does not determine x.
     #[error(
-        "B0 = {:.4}, {:.4}, {:.4} lies at {:.1}° to the tangent at rest, {:.4}, {:.4}, {:.4}: expected a direction across it; \
-         both are in the camera frame (x right, y down, z forward)",
+        "B0 = {:.4}, {:.4}, {:.4} lies at {:.1}° to the tangent at rest, {:.4}, {:.4}, {:.4}: expected a direction \
+         across it; both are in the camera frame (x right, y down, z forward)",
         b0.x, b0.y, b0.z, angle_rad.to_degrees(), tangent.x, tangent.y, tangent.z
     )]
     Along {

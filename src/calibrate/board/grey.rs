@@ -27,7 +27,8 @@ pub enum GreyError {
         source: std::io::Error,
     },
     /// Not a picture that can be decoded.
-    #[error("{}: is not a readable picture, or is incomplete ({source}); PNG, JPEG, TIFF, BMP and PNM are read", path.display())]
+    #[error("{}: is not a readable picture, or is incomplete ({source}); PNG, JPEG, TIFF, BMP and PNM are \
+        read", path.display())]
     Undecodable {
         /// The file.
         path: PathBuf,

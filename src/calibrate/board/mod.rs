@@ -243,8 +243,8 @@ pub enum BoardError {
         why: CharucoNotFound,
     },
     /// Too few corners, or too many.
-    #[error("a board of {columns}x{rows} inner corners cannot be found: from {} to {} per side can (inner corners, where four \
-        squares meet: one fewer than squares)", CORNERS.start(), CORNERS.end())]
+    #[error("a board of {columns}x{rows} inner corners cannot be found: from {} to {} per side can (inner corners, \
+        where four squares meet: one fewer than squares)", CORNERS.start(), CORNERS.end())]
     Corners {
         /// Per row.
         columns: usize,
@@ -253,8 +253,8 @@ pub enum BoardError {
     },
     /// A board that looks the same turned by 90°.
     #[error(
-        "a board of {columns}x{columns} inner corners cannot be used: turned by a quarter it looks the same, so that one \
-        cannot tell which corner is which; take one with more columns than rows, for example 9x6"
+        "a board of {columns}x{columns} inner corners cannot be used: turned by a quarter it looks the same, so that \
+        one cannot tell which corner is which; take one with more columns than rows, for example 9x6"
     )]
     Square {
         /// Per row and per column.
@@ -286,8 +286,8 @@ pub enum BoardError {
 fn instead(seen: Option<[usize; 2]>, flaw: Option<&Flaw>) -> String {
     match (seen, flaw) {
         (Some([columns, rows]), _) => format!(
-            "; there is a grid of {columns}x{rows}: is the number of corners right (inner ones are counted), and is no part \
-             of the board hidden?"
+            "; there is a grid of {columns}x{rows}: is the number of corners right (inner ones are counted), and is no \
+             part of the board hidden?"
         ),
         (None, Some(flaw)) => format!("; the grid found is not a board: {flaw}"),
         (None, None) => String::new(),

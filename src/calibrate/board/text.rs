@@ -66,8 +66,8 @@ fn charuco(text: &str) -> Result<Board, &'static str> {
     };
     let length = |text: &str| length_m(text, "sizes of square and marker must be lengths with unit: mm, cm or m");
     let (square_m, marker_m) = (length(square)?, length(marker)?);
-    let unknown = "its dictionary is not known; OpenCV's DICT_4X4_50, DICT_5X5_100, DICT_6X6_250, DICT_7X7_1000 and so on \
-                   are, DICT_ARUCO_ORIGINAL and DICT_ARUCO_MIP_36h12";
+    let unknown = "its dictionary is not known; OpenCV's DICT_4X4_50, DICT_5X5_100, DICT_6X6_250, DICT_7X7_1000 and so \
+                   on are, DICT_ARUCO_ORIGINAL and DICT_ARUCO_MIP_36h12";
     let dictionary = dictionary.parse().map_err(|()| unknown)?;
     Ok(Board { columns, rows, square_m, kind: Pattern::Charuco(Charuco { marker_m, dictionary, legacy }) })
 }

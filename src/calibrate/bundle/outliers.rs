@@ -40,7 +40,8 @@ pub enum LeftOut {
     },
     /// It is not sharp.
     #[error(
-        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
+        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more \
+         light"
     )]
     Blurred {
         /// Width of its edges.

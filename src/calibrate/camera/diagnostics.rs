@@ -27,8 +27,9 @@ const BEND_REPORTED: (f64, f64) = (4.0, 1e-3);
 pub enum CameraDiagnostic {
     /// Two groups of pictures with different lenses.
     #[error(
-        "the pictures fall into two groups with different lenses, of {0:.1} and {1:.1} px focal length, centre ({2:.1}, {3:.1}) and \
-         ({4:.1}, {5:.1}): are they of two cameras, or was focus or zoom moved? One group: {names}",
+        "the pictures fall into two groups with different lenses, of {0:.1} and {1:.1} px focal length, centre \
+         ({2:.1}, {3:.1}) and ({4:.1}, {5:.1}): are they of two cameras, or was focus or zoom moved? One group: \
+         {names}",
         .lenses[0].focal_px.x, .lenses[1].focal_px.x, .lenses[0].principal_point_px.x, .lenses[0].principal_point_px.y,
         .lenses[1].principal_point_px.x, .lenses[1].principal_point_px.y, names = .names.join(", ")
     )]
@@ -40,8 +41,8 @@ pub enum CameraDiagnostic {
     },
     /// Another lens model is better.
     #[error(
-        "{model} would show pictures better that the lens was not found from: their corners are {other_px:.3} px off, with \
-         {own} of this file {own_px:.3} px: {}", advice(*.model)
+        "{model} would show pictures better that the lens was not found from: their corners are {other_px:.3} px off, \
+         with {own} of this file {own_px:.3} px: {}", advice(*.model)
     )]
     Model {
         /// Which.
@@ -55,8 +56,8 @@ pub enum CameraDiagnostic {
     },
     /// Boards only in the centre of the picture.
     #[error(
-        "the boards reach {percent:.0} % of the way from the middle to the corners of the picture: further out the distortion is \
-         a guess (k3 = {k3:.3} ± {k3_sd:.3}); take pictures with the board in the corners too"
+        "the boards reach {percent:.0} % of the way from the middle to the corners of the picture: further out the \
+         distortion is a guess (k3 = {k3:.3} ± {k3_sd:.3}); take pictures with the board in the corners too"
     )]
     Reach {
         /// Of the way.
@@ -68,8 +69,8 @@ pub enum CameraDiagnostic {
     },
     /// A distortion that is invalid at the edge of the picture.
     #[error(
-        "the distortion folds over inside the picture: corner ({x:.0}, {y:.0}) has no direction; take pictures with the board \
-         in the corners, or do not use them"
+        "the distortion folds over inside the picture: corner ({x:.0}, {y:.0}) has no direction; take pictures with \
+         the board in the corners, or do not use them"
     )]
     Folds {
         /// A corner of the picture, pixels.
@@ -79,8 +80,8 @@ pub enum CameraDiagnostic {
     },
     /// A board that is not flat.
     #[error(
-        "the board is bent: from its highest to its lowest place {sag_mm:.2} mm ({percent:.1} % of its width), {sigmas:.0} σ from flat. \
-         It is allowed for; one on glass or aluminium gives a better lens"
+        "the board is bent: from its highest to its lowest place {sag_mm:.2} mm ({percent:.1} % of its width), \
+         {sigmas:.0} σ from flat. It is allowed for; one on glass or aluminium gives a better lens"
     )]
     Bent {
         /// Height from lowest to highest corner.

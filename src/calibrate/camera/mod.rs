@@ -96,8 +96,8 @@ pub struct CameraCalibration {
 pub enum CameraError {
     /// Pictures of several sizes.
     #[error(
-        "{name} has {}x{} pixels, {first} has {}x{}: all pictures must come from the camera as it will be used, and as it \
-         stored them, neither resized nor turned", found[0], found[1], expected[0], expected[1]
+        "{name} has {}x{} pixels, {first} has {}x{}: all pictures must come from the camera as it will be used, and as \
+         it stored them, neither resized nor turned", found[0], found[1], expected[0], expected[1]
     )]
     Sizes {
         /// A picture.
@@ -122,8 +122,8 @@ pub enum CameraError {
     },
     /// All boards are parallel.
     #[error(
-        "all boards are within {spread_deg:.0}° of parallel: the focal length cannot be told from the distance; tilt the \
-         board by 30° and more, to all sides"
+        "all boards are within {spread_deg:.0}° of parallel: the focal length cannot be told from the distance; tilt \
+         the board by 30° and more, to all sides"
     )]
     Parallel {
         /// Largest angle between two boards.

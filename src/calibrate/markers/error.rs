@@ -57,8 +57,8 @@ pub enum MarkersError {
     Learn(#[from] LearnError),
     /// Nothing like a band near the click.
     #[error(
-        "nothing like {band} near {x:.0},{y:.0} in view `{view}`, where `{name}` was picked: click on the band, and see \
-         whether its length, the tube's diameter and the frame (--at) are right"
+        "nothing like {band} near {x:.0},{y:.0} in view `{view}`, where `{name}` was picked: click on the band, and \
+         see whether its length, the tube's diameter and the frame (--at) are right"
     )]
     NoBand {
         /// Marker.
@@ -80,8 +80,8 @@ pub enum MarkersError {
     },
     /// Bands in another order along the tube.
     #[error(
-        "the tube would fold back between the bands in the order {names}: give the picks in their order along the tube, from \
-         the clamp to the tip"
+        "the tube would fold back between the bands in the order {names}: give the picks in their order along the \
+         tube, from the clamp to the tip"
     )]
     Order {
         /// Markers, as given.
@@ -94,8 +94,8 @@ pub enum MarkersError {
     NoTube,
     /// Views that see nothing in common.
     #[error(
-        "no place on the lines of sight of the picks is in the region of another view: are the regions right, and mirror and \
-         walls where they were?"
+        "no place on the lines of sight of the picks is in the region of another view: are the regions right, and \
+         mirror and walls where they were?"
     )]
     NoVolume,
     /// A band that is over- or underexposed.
@@ -110,8 +110,8 @@ pub enum MarkersError {
     },
     /// Bands whose colours cannot be told apart.
     #[error(
-        "colours that cannot be told apart: {0}. Choose bands of purer or other colours, more even light, or take the other \
-         thing of that colour out of the picture"
+        "colours that cannot be told apart: {0}. Choose bands of purer or other colours, more even light, or take the \
+         other thing of that colour out of the picture"
     )]
     Alike(String),
     /// A band that is measured too seldom.

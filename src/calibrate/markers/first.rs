@@ -69,8 +69,8 @@ pub(super) fn confirm(
             let away = (seen.centre_px - matched.centre).norm();
             if away > matched.size.length / 2.0 + matched.size.width {
                 return Err(not_measured(format!(
-                    "it is at {:.0},{:.0} in view `{view}`, but what has its colour and fits a length of {:.1} mm is at \
-                     {:.0},{:.0}",
+                    "it is at {:.0},{:.0} in view `{view}`, but what has its colour and fits a length of {:.1} mm is \
+                     at {:.0},{:.0}",
                     matched.centre.x,
                     matched.centre.y,
                     info.length_m * 1e3,
@@ -112,9 +112,9 @@ pub(super) fn explained(rig: &Rig, clicks: &[Vec<Near>], why: NotFound) -> Marke
             let others: Vec<String> =
                 (0..rig.views.len()).filter(|v| *v != view).map(|v| format!("`{}`", view_name(v))).collect();
             let reason = format!(
-                "a band is seen at {:.0},{:.0}, but along its line of sight nothing like {} is seen in {}: is it hidden or \
-                 too dark there, or does a region leave it out? Are mirror and walls in the rig where they were? A pick there \
-                 too says where it is: --pick {}@VIEW:X,Y",
+                "a band is seen at {:.0},{:.0}, but along its line of sight nothing like {} is seen in {}: is it \
+                 hidden or too dark there, or does a region leave it out? Are mirror and walls in the rig where they \
+                 were? A pick there too says where it is: --pick {}@VIEW:X,Y",
                 matched.centre.x,
                 matched.centre.y,
                 band(marker),
@@ -145,12 +145,12 @@ fn why(rig: &Rig, marker: &Marker, miss: &Miss) -> String {
             format!("nothing of its colour that could be {band} is seen in `{view}`")
         }
         Miss::Ambiguous { candidates } => format!(
-            "{candidates} things of its colour are where it could be: cover the others, or leave them out of the views with \
-             --region"
+            "{candidates} things of its colour are where it could be: cover the others, or leave them out of the views \
+             with --region"
         ),
         Miss::RaysDiverge { distance_m } => format!(
-            "what has its colour in the views is not in one place, lines of sight pass {:.1} mm apart: see whether mirror and \
-             walls in the rig are where they were",
+            "what has its colour in the views is not in one place, lines of sight pass {:.1} mm apart: see whether \
+             mirror and walls in the rig are where they were",
             distance_m * 1e3
         ),
         Miss::Interlaced => {

@@ -5,6 +5,7 @@ use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped, cli
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
 use crate::estimate::{Estimate, MarkerEstimate};
+use crate::median::upper_median;
 use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
@@ -21,8 +22,8 @@ const NO_ARC: f64 = 0.2;
 const MIN_SD_M: f64 = 0.05e-3;
 /// Number of exposures tried, from zero to the whole interval between two frames.
 const EXPOSURES: usize = 9;
-/// Pairs of frames that it is fitted to, the fastest; the least that counts, in σ and as a fraction of the interval: blur
-/// over a tenth of the motion is negligible.
+/// Pairs of frames that it is fitted to, the fastest; the least that counts, in σ and as a fraction of the interval:
+/// blur over a tenth of the motion is negligible.
 const EXPOSURE_PAIRS: usize = 24;
 const MIN_EXPOSURE_SDS: f64 = 3.0;
 const MIN_EXPOSURE: f64 = 0.1;
@@ -134,8 +135,8 @@ fn combined(arcs: &[(f64, f64)], bend_is_known: bool) -> Option<(f64, f64)> {
     (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * MIN_SD_M).powi(2)).sqrt()))
 }
 
-/// Blur, chroma offset, gamma and, unless it is stated, exposure. A wrong gamma and motion both look like blur: once they
-/// are known, blur is fitted again.
+/// Blur, chroma offset, gamma and, unless it is stated, exposure. A wrong gamma and motion both look like blur: once
+/// they are known, blur is fitted again.
 pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
     sharpen(rig, frames, followers);
     rig.camera.gamma = gamma(rig, frames, followers);
@@ -248,9 +249,8 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
             Tracker::new(&changed, TrackOptions::default()).ok()?.misfit_after(before, frame)
         };
         let misfits = (0..EXPOSURES).map(misfit).collect::<Option<Vec<_>>>()?;
-        let mut sorted = misfits.clone();
-        sorted.sort_by(f64::total_cmp);
-        Some(misfits.iter().map(|misfit| misfit - sorted[EXPOSURES / 2]).collect())
+        let middle = upper_median(misfits.iter().copied())?;
+        Some(misfits.iter().map(|misfit| misfit - middle).collect())
     };
     let curves: Vec<Vec<f64>> = moving.iter().filter_map(curve).take(EXPOSURE_PAIRS).collect();
     if curves.len() < 2 * PARTS {

@@ -135,14 +135,14 @@ pub enum MirrorError {
     NoAnswer,
     /// The views still contradict each other.
     #[error(
-        "wherever the mirror stands, the views disagree by {0:.2} px about the bands: more than the mirror has moved, or one of \
-         the bands is another thing of its colour"
+        "wherever the mirror stands, the views disagree by {0:.2} px about the bands: more than the mirror has moved, \
+         or one of the bands is another thing of its colour"
     )]
     Disagree(f64),
     /// σ is too large.
     #[error(
-        "the recording leaves the mirror open: σ {turn_deg:.2}° and {shift_mm:.1} mm (at most {:.1}° and {:.1} mm are of use). The \
-         catheter must move through all of the views, and a known length helps",
+        "the recording leaves the mirror open: σ {turn_deg:.2}° and {shift_mm:.1} mm (at most {:.1}° and {:.1} mm are \
+         of use). The catheter must move through all of the views, and a known length helps",
         UNDETERMINED_SD.0.to_degrees(), UNDETERMINED_SD.1 * 1e3
     )]
     Open {

@@ -31,9 +31,9 @@ const REDUNDANT: f64 = 1e-3;
 pub enum Diagnostic {
     /// Correlated residuals.
     #[error(
-        "corners of the {view} view that are neighbours are off together, {times:.1} times as much as noise explains: is there \
-         water or glass that was not given, a mirror that is not flat, another lens or focus than calibrated, squares of another \
-         size?"
+        "corners of the {view} view that are neighbours are off together, {times:.1} times as much as noise explains: \
+         is there water or glass that was not given, a mirror that is not flat, another lens or focus than calibrated, \
+         squares of another size?"
     )]
     Together {
         /// Name of the view.
@@ -43,8 +43,8 @@ pub enum Diagnostic {
     },
     /// Wrong lengths.
     #[error(
-        "lengths of {nominal_mm:.0} mm on held-out boards are off {times:.1} times as much as noise explains: is a board bent, or \
-         was one moved during the exposure?"
+        "lengths of {nominal_mm:.0} mm on held-out boards are off {times:.1} times as much as noise explains: is a \
+         board bent, or was one moved during the exposure?"
     )]
     Lengths {
         /// The length.
@@ -54,8 +54,8 @@ pub enum Diagnostic {
     },
     /// A prior that is far from what the pictures give.
     #[error(
-        "the pictures contradict {what} as it was given, by {off:.1} σ: is it right, and the size of the squares? Were pictures \
-         flipped or turned, or taken with another lens?"
+        "the pictures contradict {what} as it was given, by {off:.1} σ: is it right, and the size of the squares? Were \
+         pictures flipped or turned, or taken with another lens?"
     )]
     Prior {
         /// What.

@@ -38,8 +38,8 @@ pub enum RigCalibrationError {
     InsufficientPictures(#[from] InsufficientPictures),
     /// Boards in front of the wall that they should be behind.
     #[error(
-        "by the size of its squares the board ({board}) of {name} is {nearest_mm:.0} mm from the camera, before front_wall at \
-         {distance_mm:.0} mm: is one of the two wrong?"
+        "by the size of its squares the board ({board}) of {name} is {nearest_mm:.0} mm from the camera, before \
+         front_wall at {distance_mm:.0} mm: is one of the two wrong?"
     )]
     BeforeWall {
         /// The picture.
@@ -60,7 +60,8 @@ pub enum RigCalibrationError {
         known: String,
     },
     /// A taped board that is not seen the same way as its wall.
-    #[error("{name}: the board on {wall} is {}", if *.mirrored { "seen directly, that wall in the mirror" } else { "seen in a \
+    #[error("{name}: the board on {wall} is {}", if *.mirrored { "seen directly, that wall in the \
+        mirror" } else { "seen in a \
         mirror, that wall directly" })]
     Taped {
         /// The picture.
@@ -81,8 +82,8 @@ pub enum RigCalibrationError {
     LensCovariance,
     /// The adjustment failed.
     #[error(
-        "the pictures do not determine the rig ({0}): are tank, distances and mirrors as they were given? If so, take more \
-         pictures, tilted to all sides, near and far"
+        "the pictures do not determine the rig ({0}): are tank, distances and mirrors as they were given? If so, take \
+         more pictures, tilted to all sides, near and far"
     )]
     Solve(#[from] NoSolution),
 }

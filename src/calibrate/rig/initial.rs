@@ -75,14 +75,14 @@ pub(crate) enum Unusable {
     OnlyMirrored,
     /// One image only.
     #[error(
-        "it shows the board only once, and a mirror needs it twice, directly and mirrored: is the other image whole, sharp and \
-         not hidden?"
+        "it shows the board only once, and a mirror needs it twice, directly and mirrored: is the other image whole, \
+         sharp and not hidden?"
     )]
     Once,
     /// Images with the wrong handedness.
     #[error(
-        "its direct image of the board is mirrored and the one in a mirror is not: the picture was flipped, by the camera's \
-         software or afterwards; take it unflipped"
+        "its direct image of the board is mirrored and the one in a mirror is not: the picture was flipped, by the \
+         camera's software or afterwards; take it unflipped"
     )]
     Flipped,
     /// It was already given.
@@ -90,7 +90,8 @@ pub(crate) enum Unusable {
     Duplicate(String),
     /// Blurred images.
     #[error(
-        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
+        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more \
+         light"
     )]
     Blurred {
         /// Width of its edges.
@@ -109,8 +110,8 @@ pub(crate) enum Unusable {
     },
     /// A reflection in a mirror that no other picture shows.
     #[error(
-        "it shows the board in a mirror that stands otherwise than in the other pictures: was the mirror moved, was the \
-         picture flipped by the camera's software, or are there more mirrors (--mirrors)?"
+        "it shows the board in a mirror that stands otherwise than in the other pictures: was the mirror moved, was \
+         the picture flipped by the camera's software, or are there more mirrors (--mirrors)?"
     )]
     OtherMirror,
 }

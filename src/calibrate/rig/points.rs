@@ -37,7 +37,8 @@ pub enum PointsError {
         source: csv::Error,
     },
     /// A column is missing.
-    #[error("{}: has no column `{column}`; the columns are picture, view, u_px, v_px, x_mm, y_mm, z_mm and, if wanted, sd_px", file.display())]
+    #[error("{}: has no column `{column}`; the columns are picture, view, u_px, v_px, x_mm, y_mm, z_mm and, if wanted, \
+        sd_px", file.display())]
     Column {
         /// Which file.
         file: PathBuf,

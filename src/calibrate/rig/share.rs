@@ -24,7 +24,7 @@ const HALF_M: f64 = 5e-3;
 
 /// A catheter at one moment, camera frame.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Pose {
+pub(crate) struct CatheterPose {
     /// The coil, metres.
     pub coil: Point3<f64>,
     /// Its tangent, a unit vector.
@@ -63,7 +63,7 @@ pub(crate) enum NoShare {
 ///
 /// # Errors
 /// [`NoShare`].
-pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
+pub(crate) fn share(rig: &Draft, poses: &[CatheterPose]) -> Result<Share, NoShare> {
     let base = rig.base.as_ref().ok_or(NoShare::Base)?;
     let (geometry, free, covariance) = recorded_geometry(rig).ok_or(NoShare::Covariance)?;
     let projector = Projector::new(&geometry, &free);
@@ -78,7 +78,7 @@ pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
     let (of_origin, of_z) = at_rest().ok_or(NoShare::Place)?;
     // Rotation error of the frame: z × δz.
     let of_turn = z.cross_matrix() * &of_z;
-    let one = |pose: &Pose| -> Option<[f64; 2]> {
+    let one = |pose: &CatheterPose| -> Option<[f64; 2]> {
         let of_t = turned(&pose.coil, &pose.tangent)?;
         let theta = y.cross(&pose.tangent).tr_mul(&of_t) - y.cross(&z).tr_mul(&of_z);
         let tip: Matrix3xX<f64> = moved(&pose.tip)? - &of_origin + (pose.tip - origin).cross_matrix() * &of_turn;
@@ -120,7 +120,7 @@ pub(crate) fn volume_m(rig: &Draft) -> Option<[Vector3<f64>; 2]> {
     Some([corner(0)?, corner(1)?])
 }
 
-fn outside_m(rig: &Draft, poses: &[Pose]) -> Option<f64> {
+fn outside_m(rig: &Draft, poses: &[CatheterPose]) -> Option<f64> {
     let [low, high] = volume_m(rig)?;
     let beyond = |place: &Point3<f64>| {
         let below = (low - place.coords).sup(&(place.coords - high));

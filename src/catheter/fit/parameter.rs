@@ -112,17 +112,20 @@ impl Parameter {
     pub fn experiment(self) -> &'static str {
         match self {
             Self::Young => {
-                "hold currents of the axial coil z that bend the tube by 10° and more, to both sides, for some seconds each"
+                "hold currents of the axial coil z that bend the tube by 10° and more, to both sides, for some seconds \
+                 each"
             }
             Self::Shear => {
-                "hold currents of the side coil y, which twists the tube, with and without the axial coil z, for some seconds each"
+                "hold currents of the side coil y, which twists the tube, with and without the axial coil z, for some \
+                 seconds each"
             }
             Self::Alignment => {
                 "hold currents of the side coil x, along B0, and y, across it, to both sides, for some seconds each"
             }
             Self::CurvatureX | Self::CurvatureY => "record the catheter at rest without currents for some seconds",
             Self::Damping => {
-                "step the axial coil by a few mA and record how the small motion dies away; in air it is not hidden by drag"
+                "step the axial coil by a few mA and record how the small motion dies away; in air it is not hidden by \
+                 drag"
             }
             Self::Drag => "step the axial coil by its whole range and record the fast motion in the fluid",
             Self::LinearDrag => {

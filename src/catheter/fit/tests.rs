@@ -74,8 +74,8 @@ fn derivatives(catheter: &Catheter, delay_s: f64, runs: &[Run]) -> DMatrix<f64> 
     DMatrix::from_columns(&columns)
 }
 
-/// Over 20 seeds the RMS of (found − true)/σ is 1.15, and 92.5 % of the 160 values are within 2 σ; here one seed. The test
-/// below sees more of them.
+/// Over 20 seeds the RMS of (found − true)/σ is 1.15, and 92.5 % of the 160 values are within 2 σ; here one seed. The
+/// test below sees more of them.
 #[test]
 fn parameters_of_simulated_experiments_come_back_within_their_sigma() {
     let seeds: u64 = std::env::var("CATOPTRA_SEEDS").ok().and_then(|s| s.parse().ok()).unwrap_or(1);

@@ -132,8 +132,8 @@ fn known_field(args: &BaseArgs, rig: &Rig) -> Result<KnownField, Failure> {
     let file = args.rig.display();
     let Some(base) = &rig.base else {
         return Err(Failure::usage(format!(
-            "{file} has no [base] with a b0 yet: give --planar VIDEO, a recording of a swing in the plane of B0, or --b0 X,Y,Z, \
-             its direction in the camera frame (x right, y down, z forward)"
+            "{file} has no [base] with a b0 yet: give --planar VIDEO, a recording of a swing in the plane of B0, or \
+             --b0 X,Y,Z, its direction in the camera frame (x right, y down, z forward)"
         )));
     };
     // As written by this command: the source of the earlier b0, and the σ of the frame's rotation about z.
@@ -255,8 +255,8 @@ fn describe(
         row(x, 5),
     );
     text.push_str(
-        "σ of this measurement in the camera frame; what camera, mirror and walls leave open moves the frame together with\n\
-         all that is measured in it. The zero of θ is as good as z towards x.\n",
+        "σ of this measurement in the camera frame; what camera, mirror and walls leave open moves the frame together \
+         with\nall that is measured in it. The zero of θ is as good as z towards x.\n",
     );
     if let Some(swing) = &done.swing {
         let (sign, other) = match args.first {
@@ -265,8 +265,8 @@ fn describe(
         };
         let _ = writeln!(
             text,
-            "The sign of B0 does not show in pictures: the first deflection, at {:.3} s, counts as {sign}; if it was the other \
-             way,\ngive --first {other}",
+            "The sign of B0 does not show in pictures: the first deflection, at {:.3} s, counts as {sign}; if it was \
+             the other way,\ngive --first {other}",
             swing.first.seconds()
         );
     }

@@ -94,7 +94,8 @@ fn describe(searched: &[SearchedPicture], done: &CameraCalibration) -> String {
     let mut text = pictures::table(searched, done.used.iter(), &done.left_out);
     let _ = writeln!(
         text,
-        "\n{} of {} pictures used, corners good to {}\n\nlens                   value          σ   of noise   of the model",
+        "\n{} of {} pictures used, corners good to {}\n\nlens                   value          σ   of noise   of the \
+         model",
         done.used.len(),
         searched.len(),
         pictures::rms(done.corner_sd_px)
@@ -117,9 +118,10 @@ fn describe(searched: &[SearchedPicture], done: &CameraCalibration) -> String {
         let _ = writeln!(text, "{name:<18} {value:>9.5}  {sd:>9.5}  {noise:>9.5}  {model:>13.5}");
     }
     if lens.is_rational() {
-        text += "k1 to k6 trade off: single ones are not determined, and their σ may be too small; only the mapping of all together is\n";
+        text += "k1 to k6 trade off: single ones are not determined, and their σ may be too small; only the mapping of \
+            all together is\n";
     }
-    text += "σ: how much the lens changes from picture to picture; noise: of single corners; model: what the corners of a picture \
-             share (board, print, blur, lens model)\n";
+    text += "σ: how much the lens changes from picture to picture; noise: of single corners; model: what the corners \
+             of a picture share (board, print, blur, lens model)\n";
     text
 }

@@ -252,8 +252,8 @@ pub(super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
     };
     if names != before && sorted(&names) == sorted(&before) {
         return Err(Failure::usage(format!(
-            "the picks are in the order {}, but in {} the bands follow each other as {}: give the picks in their order along the \
-             tube, from the clamp to the tip (if the file is wrong, take its [[marker]] parts out)",
+            "the picks are in the order {}, but in {} the bands follow each other as {}: give the picks in their order \
+             along the tube, from the clamp to the tip (if the file is wrong, take its [[marker]] parts out)",
             names.join(", "),
             args.rig.display(),
             before.join(", ")
@@ -402,8 +402,8 @@ fn describe(done: &Teaching) -> String {
     if let Some(gamma) = camera.gamma {
         let _ = writeln!(
             text,
-            "stored values are proportional to light raised to {gamma:.2}: that explains the pictures better than the transfer \
-             function that the recording declares"
+            "stored values are proportional to light raised to {gamma:.2}: that explains the pictures better than the \
+             transfer function that the recording declares"
         );
     }
     let _ = match camera.exposure_s {
@@ -437,8 +437,8 @@ fn proposal(rig: &Rig, region: &ProposedRegion) -> String {
     let view = rig.views.get(region.view).map_or("", |v| v.name.as_str());
     let things = if region.leaves_out == 1 { "1 thing".to_owned() } else { format!("{} things", region.leaves_out) };
     format!(
-        "{things} of the bands' colours in view `{view}` can be left out: --region {view}:{},{}-{},{} holds all that the tube \
-         can reach",
+        "{things} of the bands' colours in view `{view}` can be left out: --region {view}:{},{}-{},{} holds all that \
+         the tube can reach",
         region.from.x, region.from.y, region.to.x, region.to.y
     )
 }
@@ -472,7 +472,8 @@ const NEAREST: usize = 2;
 
 fn describe_colours(done: &Teaching) -> String {
     let mut text = String::from(
-        "\ncolours: samples of the band that are found, and of the other colour that are mistaken for it, in pictures not learned from\n",
+        "\ncolours: samples of the band that are found, and of the other colour that are mistaken for it, in pictures \
+         not learned from\n",
     );
     for (view, info) in done.views.iter().zip(&done.rig.views) {
         for m in 0..done.rig.markers.len() {

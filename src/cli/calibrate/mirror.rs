@@ -143,8 +143,8 @@ fn describe(done: &MirrorCalibration) -> String {
     let ([up, side, shift], [up_sd, side_sd, shift_sd]) = (done.moved(), done.sd());
     let [before_px, after_px] = done.disagreement_px;
     let mut text = format!(
-        "{} frames, {} bands seen in two views\nthe views disagree by {before_px:.2} px RMS before, {after_px:.2} px now\n\n\
-         {:<24}   moved         σ\n",
+        "{} frames, {} bands seen in two views\nthe views disagree by {before_px:.2} px RMS before, {after_px:.2} px \
+         now\n\n{:<24}   moved         σ\n",
         done.frames, done.bands, done.name
     );
     for (what, angle, sd) in [("turned up or down", up, up_sd), ("turned left or right", side, side_sd)] {
@@ -156,8 +156,8 @@ fn describe(done: &MirrorCalibration) -> String {
         let (known, sd, found) = (length.length_m * 1e3, length.sd_m * 1e3, found_m * 1e3);
         let _ = writeln!(text, "\nlength {a}-{b} {known:.2} ± {sd:.2} mm; the rays give {found:.2} mm");
     }
-    text += "\nlens and walls were taken as exact. A turn to the left or right and the shift move all positions together, by \
-             millimetres; displacements and angles hardly change.\n";
+    text += "\nlens and walls were taken as exact. A turn to the left or right and the shift move all positions \
+             together, by millimetres; displacements and angles hardly change.\n";
     if done.rig.base.is_some() && done.has_moved() {
         text += "The base frame was measured with the mirror as it was: measure it again (catoptra calibrate base).\n";
     }

@@ -124,7 +124,8 @@ pub(super) fn astray<'a>(used: impl Iterator<Item = &'a UsedPicture>, corner_sd_
             count => format!("{count} corners are astray"),
         };
         Some(format!(
-            "{}: {what}, the worst at ({:.0}, {:.0}) by {:.1} px: hidden, shaded, or taken for another? They hardly count",
+            "{}: {what}, the worst at ({:.0}, {:.0}) by {:.1} px: hidden, shaded, or taken for another? They hardly \
+             count",
             picture.name,
             at.x,
             at.y,

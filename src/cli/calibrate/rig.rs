@@ -271,8 +271,8 @@ fn fits(picture: &SearchedPicture, args: &RigArgs, draft: &Draft) -> Result<(), 
     let (path, rig) = (picture.path.display(), args.rig.display());
     let [found, expected] = [found, expected].map(|[width, height]| format!("{width}x{height}"));
     Err(Failure::usage(format!(
-        "{path} has {found} pixels, but {rig} was calibrated for {expected}: pictures must be as the camera stored them, neither \
-         resized nor turned"
+        "{path} has {found} pixels, but {rig} was calibrated for {expected}: pictures must be as the camera stored \
+         them, neither resized nor turned"
     )))
 }
 
@@ -332,8 +332,8 @@ fn shared_pictures(draft: &Draft, searched: &[SearchedPicture]) -> Result<Option
     }
     Ok((!names.is_empty()).then(|| {
         format!(
-            "{} of the pictures served for the lens too, so that what is wrong in them counts twice and σ are too small: \
-             take others ({})",
+            "{} of the pictures served for the lens too, so that what is wrong in them counts twice and σ are too \
+             small: take others ({})",
             names.len(),
             names.join(", ")
         )
@@ -381,7 +381,8 @@ fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, option
     let solution = &done.solution;
     let _ = writeln!(
         text,
-        "\n{} of {} pictures used, corners good to {}\n\nsurface      normal                          σ  of noise      offset mm       σ  of noise",
+        "\n{} of {} pictures used, corners good to {}\n\nsurface      normal                          σ  of noise      \
+         offset mm       σ  of noise",
         done.used.len(),
         seen.pictures(),
         pictures::rms(solution.corner_sd_px)
@@ -450,8 +451,8 @@ fn describe_verdict(judged: &Verdict) -> String {
     let (direction, sd_m) = judged.weakest;
     let _ = writeln!(
         text,
-        "weakest: everything together along ({:+.2}, {:+.2}, {:+.2}), by {:.2} mm; positions in the base frame and angles \
-         do not see it",
+        "weakest: everything together along ({:+.2}, {:+.2}, {:+.2}), by {:.2} mm; positions in the base frame and \
+         angles do not see it",
         direction.x,
         direction.y,
         direction.z,
@@ -462,7 +463,8 @@ fn describe_verdict(judged: &Verdict) -> String {
             let (what, relative_mm, absolute_mm) = (&best.what, best.relative_m * 1e3, best.absolute_m * 1e3);
             let _ = writeln!(
                 text,
-                "what would help most in the {frame} frame: {what} (base frame {relative_mm:.4} mm, camera frame {absolute_mm:.2} mm)"
+                "what would help most in the {frame} frame: {what} (base frame {relative_mm:.4} mm, camera frame \
+                 {absolute_mm:.2} mm)"
             );
         }
     }

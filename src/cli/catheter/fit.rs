@@ -216,8 +216,8 @@ impl FitArgs {
         if fit.widened > WIDENED_REPORTED {
             let _ = writeln!(
                 text,
-                "  those of successive frames are alike (slow noise, or a model that is wrong): σ are up to {:.1} times as large as \
-                 with noise that is not",
+                "  those of successive frames are alike (slow noise, or a model that is wrong): σ are up to {:.1} \
+                 times as large as with noise that is not",
                 fit.widened
             );
         }
@@ -245,7 +245,8 @@ fn held_too_long(commands: &Commands, last_s: f64) -> Option<String> {
         let [x, y, z] = (held * 1e3).into();
         format!(
             "its last currents ({x:.1}, {y:.1}, {z:.1} mA) are taken to be held from {from_s:.2} s to the run's end at \
-             {last_s:.2} s, no others for longer than {longest_s:.2} s: if they ended before, end the table with a row of zeros"
+             {last_s:.2} s, no others for longer than {longest_s:.2} s: if they ended before, end the table with a row \
+             of zeros"
         )
     })
 }

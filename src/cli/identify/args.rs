@@ -286,7 +286,8 @@ impl Args {
     pub(super) fn settings(&self, samples: usize, judged: bool) -> Result<Settings, Failure> {
         let delays = self.nk.map_or(1..=5, Span::all);
         if self.fed_back() && *delays.start() == 0 {
-            let text = "--nk 0: with Eq. 6 the torque holds the angle of the same sample, which would explain itself; the least is 1";
+            let text = "--nk 0: with Eq. 6 the torque holds the angle of the same sample, which would explain itself; \
+                the least is 1";
             return Err(Failure::usage(text));
         }
         let select = self.select;

@@ -111,7 +111,8 @@ fn warn_of_training_data_in_validation(args: &Args) {
 fn empty_reason(part: &Record, args: &Args) -> String {
     match (part.segments.iter().map(|s| s.len()).max(), args.decimate) {
         (Some(longest), Some(n)) if part.observed() > 0 => format!(
-            "--decimate {n} leaves nothing: its filter needs {} samples without a hole, and the longest stretch has {longest}",
+            "--decimate {n} leaves nothing: its filter needs {} samples without a hole, and the longest stretch has \
+             {longest}",
             DECIMATION_NEEDS * n
         ),
         _ => "no sample has both input and output".to_owned(),
@@ -145,8 +146,8 @@ fn one_period(all: &[Read]) -> Result<(), Failure> {
     match all.iter().find(other) {
         None => Ok(()),
         Some(read) => Err(Failure::usage(format!(
-            "{}: samples are {:.6} s apart, and {:.6} s in {}: records that belong together have one period (--resample --period gives \
-             them one)",
+            "{}: samples are {:.6} s apart, and {:.6} s in {}: records that belong together have one period \
+             (--resample --period gives them one)",
             read.summary.name, read.summary.period_s, first.summary.period_s, first.summary.name
         ))),
     }
@@ -202,8 +203,8 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     let name = file.display().to_string();
     if plant.is_none() && args.input.as_deref() != Some(CURRENT) {
         return Err(Failure::usage(format!(
-            "{name}: what moves it? Give --plant PLANT.toml (Eq. 6, for logs), --input current (the current itself), or the columns \
-             of a table with --input, --output and --period"
+            "{name}: what moves it? Give --plant PLANT.toml (Eq. 6, for logs), --input current (the current itself), \
+             or the columns of a table with --input, --output and --period"
         )));
     }
     let recording = Recording::read(file)?;
@@ -225,8 +226,8 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     if let Some(LongHold { from_s, to_s, value, usual_s }) = observed.time_s.last().and_then(|t| held.longest_hold(*t))
     {
         tracing::warn!(
-            "{source}: {value} A is held from {from_s:.3} s to {to_s:.3} s after the first frame, while commands usually come \
-             every {usual_s:.3} s: is the table complete?"
+            "{source}: {value} A is held from {from_s:.3} s to {to_s:.3} s after the first frame, while commands \
+             usually come every {usual_s:.3} s: is the table complete?"
         );
     }
     let apparent = apparent_delay(args, &observed, &held, plant);

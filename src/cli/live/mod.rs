@@ -18,7 +18,7 @@ use crate::pipeline::End;
 use crate::plural::plural;
 use crate::report::RunInfo;
 use crate::rig::Rig;
-use crate::sink::{PublishSink, Sink, UdpSink};
+use crate::sink::{CurrentSample, PublishSink, Sink, UdpSink};
 use crate::source::host::HostClock;
 use crate::studio::Watch;
 use crate::track::{TrackOptions, Tracker};
@@ -30,6 +30,8 @@ use std::io::ErrorKind;
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 /// Free space reserved for the log, gigabytes: more than an hour at 60 Hz.
@@ -144,17 +146,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         tracing::info!("subscribers find the topics at ws://{}", publisher.address());
     }
     let clock = HostClock::start();
-    let currents = args.currents.as_ref().map(|from| {
-        let refused = |e: std::io::Error| {
-            // The named file is wrong or does not exist.
-            let invalid = [ErrorKind::InvalidData, ErrorKind::NotFound, ErrorKind::IsADirectory].contains(&e.kind());
-            let exit = if invalid { Exit::Usage } else { Exit::Failed };
-            Failure::new(exit, format!("{from}: cannot receive currents: {e}"))
-        };
-        let from = args.ros.of_currents(from)?;
-        from.open(args.current_limit, clock, &until.stop).map_err(refused)
-    });
-    let currents = currents.transpose()?;
+    let currents = args.currents.as_ref().map(|from| args.receive_currents(from, clock, &until.stop)).transpose()?;
     let source = match simulated {
         Some(simulated) => {
             let rate_hz = args.from.fps.map(|rate| rate.hz());
@@ -196,9 +188,14 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     if let Some(sources) = live.run.tally.budget() {
         files.add_budget(&run, &sources)?;
     }
+    conclude(args, live, &files, &rig, quiet)
+}
+
+/// Prints the summary; an error when rows are missing, no frame came, or the run ended badly.
+fn conclude(args: &Args, live: LiveSummary, files: &Files, rig: &Rig, quiet: bool) -> Result<(), Failure> {
     if !quiet {
         let mut text = String::new();
-        summary::summary(&mut text, &args.source, &live.run, &files, &rig)
+        summary::summary(&mut text, &args.source, &live.run, files, rig)
             .and_then(|()| text.write_str(&lines(&live, args.record.is_some())))
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         output::print(&text)?;
@@ -213,7 +210,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         let text = format!("{}: no frame was received", args.source);
         return Err(Failure::new(Exit::Unusable, text));
     }
-    verdict(&args.source, &rig, live.run)
+    verdict(&args.source, rig, live.run)
 }
 
 /// The part of the summary specific to a live run.
@@ -249,6 +246,22 @@ fn lines(summary: &LiveSummary, recorded_from_the_beginning: bool) -> String {
 }
 
 impl Args {
+    /// The currents that come from there.
+    fn receive_currents(
+        &self,
+        from: &CurrentSource,
+        clock: HostClock,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<Receiver<CurrentSample>, Failure> {
+        let refused = |e: std::io::Error| {
+            // The named file is wrong or does not exist.
+            let invalid = [ErrorKind::InvalidData, ErrorKind::NotFound, ErrorKind::IsADirectory].contains(&e.kind());
+            let exit = if invalid { Exit::Usage } else { Exit::Failed };
+            Failure::new(exit, format!("{from}: cannot receive currents: {e}"))
+        };
+        self.ros.of_currents(from)?.open(self.current_limit, clock, stop).map_err(refused)
+    }
+
     /// The controllers that get θ immediately.
     fn controllers(&self, rig: &Rig) -> Result<Vec<Box<dyn Sink + Send>>, Failure> {
         let mut controllers: Vec<Box<dyn Sink + Send>> = Vec::new();

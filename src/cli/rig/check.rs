@@ -3,7 +3,7 @@
 use super::super::progress::Progress;
 use super::super::run::two_views;
 use super::super::{Exit, Failure, fitting, output};
-use crate::calibrate::rig::share::{Pose, share, volume_m};
+use crate::calibrate::rig::share::{CatheterPose, share, volume_m};
 use crate::optics::{Surface, Wall};
 use crate::plural::plural;
 use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
@@ -56,18 +56,19 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
         let tip = rig.tip();
         let place = |marker: usize| estimate.markers.get(marker)?.position.as_ref().ok().map(|p| p.point);
         if let (Some(coil), Some(tip), Ok(tangent)) = (place(rig.catheter.coil), place(tip), &estimate.tangent) {
-            poses.push(Pose { coil, tangent: tangent.direction, tip });
+            poses.push(CatheterPose { coil, tangent: tangent.direction, tip });
         }
         frames += 1;
         progress.at(frames);
     }
     drop(progress);
     let every = poses.len().div_ceil(MAX_MOMENTS).max(1);
-    let some: Vec<Pose> = poses.iter().copied().step_by(every).collect();
+    let some: Vec<CatheterPose> = poses.iter().copied().step_by(every).collect();
     let share = share(draft, &some).map_err(|e| unusable(&e))?;
     let mut text = format!("\nthe calibration's share of errors at the catheter in {} (1σ)", recording.display());
     text += &format!(
-        "\n  θ                {:.4}°, at the worst moment {:.4}°\n  tip, base frame  {:.4} mm, at the worst moment {:.4} mm\n",
+        "\n  θ                {:.4}°, at the worst moment {:.4}°\n  tip, base frame  {:.4} mm, at the worst moment \
+         {:.4} mm\n",
         share.theta_rad.0.to_degrees(),
         share.theta_rad.1.to_degrees(),
         share.tip_m.0 * 1e3,
@@ -77,8 +78,8 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
         None => "  the rig file does not say which places the boards filled\n".to_owned(),
         Some(0.0) => "  within the boards' volume\n".to_owned(),
         Some(m) => format!(
-            "  warning: up to {:.0} mm outside the boards' volume, where errors are larger than this says: calibrate with boards \
-             where the catheter is\n",
+            "  warning: up to {:.0} mm outside the boards' volume, where errors are larger than this says: calibrate \
+             with boards where the catheter is\n",
             m * 1e3
         ),
     };
@@ -229,7 +230,8 @@ fn surfaces(out: &mut String, rig: &Draft) -> fmt::Result {
         }
         writeln!(
             out,
-            "                   {distance_mm:.1}{sd} mm from the camera, normal {tilt:.1}° to the optical axis{crossing}"
+            "                   {distance_mm:.1}{sd} mm from the camera, normal {tilt:.1}° to the optical \
+             axis{crossing}"
         )?;
     }
     Ok(())

@@ -96,8 +96,8 @@ fn frame(rig: &Draft, view: Option<&str>, first: u8) -> String {
     let frame = match rig.base {
         Some(_) => "the base frame".to_owned(),
         None => format!(
-            "the camera frame with its origin moved {:.0} mm forward: the rig has no base frame, and in the lens an origin \
-             has no DLT",
+            "the camera frame with its origin moved {:.0} mm forward: the rig has no base frame, and in the lens an \
+             origin has no DLT",
             dlt::ORIGIN_M * 1e3
         ),
     };

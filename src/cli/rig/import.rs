@@ -41,8 +41,9 @@ impl FromStr for Deviations {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || {
-            "expected nine σ above 0, of fx, fy, cx, cy, k1, k2, p1, p2, k3 (twelve with k4, k5, k6 of a rational lens), for example 1.2,1.2,0.9,0.8,3e-3,0.02,2e-4,2e-4,0.05; \
-             of a number that was held, one as small as it is well known"
+            "expected nine σ above 0, of fx, fy, cx, cy, k1, k2, p1, p2, k3 (twelve with k4, k5, k6 of a rational \
+             lens), for example 1.2,1.2,0.9,0.8,3e-3,0.02,2e-4,2e-4,0.05; of a number that was held, one as small as \
+             it is well known"
                 .to_owned()
         };
         let numbers =
@@ -99,7 +100,8 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     let known = match args.sd {
         Some(_) => "its σ count as independent of each other: `calibrate rig` knows the lens as well as they say",
         None => {
-            "the lens came without σ (--sd): `calibrate rig` takes it as exact, and its verdict does not include the lens's errors"
+            "the lens came without σ (--sd): `calibrate rig` takes it as exact, and its verdict does not include the \
+             lens's errors"
         }
     };
     note(&format!("{written}\n{known}"));

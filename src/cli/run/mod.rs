@@ -59,8 +59,8 @@ fn parse_rig(file: &Path, text: String, reference: Reference) -> Result<(Rig, St
 pub(super) fn two_views(file: &Path, views: &[View]) -> Result<(), Failure> {
     let [view] = views else { return Ok(()) };
     let text = format!(
-        "{}: has one view, `{}`; a place in space needs two. Add the view in the mirror, with `catoptra calibrate rig` or as \
-         another [[view]]",
+        "{}: has one view, `{}`; a place in space needs two. Add the view in the mirror, with `catoptra calibrate rig` \
+         or as another [[view]]",
         file.display(),
         view.name
     );

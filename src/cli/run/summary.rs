@@ -70,8 +70,8 @@ pub(in crate::cli) fn summary(
             let at = ticks.spot();
             writeln!(
                 out,
-                "the lamp at {at} never changed: is it there (--tick-led x,y,r; the overlay shows the disc), does it go on and \
-                 off with every command, and were there any? Without changes there are no times of commands"
+                "the lamp at {at} never changed: is it there (--tick-led x,y,r; the overlay shows the disc), does it \
+                 go on and off with every command, and were there any? Without changes there are no times of commands"
             )?;
         }
     }
@@ -155,20 +155,26 @@ pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
                 )
             }
             "not_recorded" => {
-                "the log holds parts of its pictures, and not those: track it with the rig it was recorded with".to_owned()
+                "the log holds parts of its pictures, and not those: track it with the rig it was recorded \
+                 with"
+                    .to_owned()
             }
             "too_coarse" => "record with less compression: without losses, or H.264 at crf 14".to_owned(),
             "interlaced" => {
-                "record progressive video, or make a frame of each field (ffmpeg: `-vf bwdif=send_field`); if all rows are of \
-                 one moment after all, say so (`-vf setfield=prog`)"
+                "record progressive video, or make a frame of each field (ffmpeg: `-vf bwdif=send_field`); if all rows \
+                 are of one moment after all, say so (`-vf setfield=prog`)"
                     .to_owned()
             }
             "repeated" => "camera or recorder show pictures twice: record at the camera's own rate".to_owned(),
             "damaged" => "the recording is damaged: copy it again".to_owned(),
-            "rays_diverge" => "camera, mirror or tank have moved since the calibration, or another thing has its colour".to_owned(),
-            "ambiguous" => "other things of its colour are in the views: cover them, or draw the regions tighter".to_owned(),
-            _ => "light and colours are not those that `catoptra calibrate markers` learned, or the rig's lengths are not \
-                  those of the catheter"
+            "rays_diverge" => "camera, mirror or tank have moved since the calibration, or another thing has its \
+                colour"
+                .to_owned(),
+            "ambiguous" => "other things of its colour are in the views: cover them, or draw the regions \
+                tighter"
+                .to_owned(),
+            _ => "light and colours are not those that `catoptra calibrate markers` learned, or the rig's lengths are \
+                  not those of the catheter"
                 .to_owned(),
         };
         let before = if said.is_empty() { "" } else { "\n" };

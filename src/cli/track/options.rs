@@ -57,7 +57,10 @@ impl Options {
         let line = Line::try_parse_from(text.split_whitespace()).map_err(|error| {
             let said = error.to_string();
             let said = said.lines().next().unwrap_or_default().trim_start_matches("error: ");
-            format!("options `{text}`: {said}; for a line of a manifest there are --overlay, --record, --profile, --frame, --from, --to, --fps, --tick-led and --full-frame")
+            format!(
+                "options `{text}`: {said}; for a line of a manifest there are --overlay, --record, --profile, \
+                --frame, --from, --to, --fps, --tick-led and --full-frame"
+            )
         })?;
         let own = line.options;
         Ok(Self {

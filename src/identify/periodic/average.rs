@@ -82,8 +82,8 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
     let samples = exact.round().max(0.0) as usize;
     if samples < 8 || (exact - samples as f64).abs() > WHOLE_TOLERANCE {
         return Err(format!(
-            "a period of {repeats_s} s is {exact:.2} samples of {period_s:.6} s, and must be a whole number of them, 8 at least: \
-             --resample --period {:.8} makes it one",
+            "a period of {repeats_s} s is {exact:.2} samples of {period_s:.6} s, and must be a whole number of them, 8 \
+             at least: --resample --period {:.8} makes it one",
             repeats_s / exact.round().max(8.0)
         ));
     }
@@ -112,8 +112,8 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
     }
     if periods.len() < MIN_PERIODS {
         return Err(format!(
-            "{} whole periods of {repeats_s} s are left behind the first {skip} ({left_out} more have holes), and {MIN_PERIODS} are needed, \
-             better 7",
+            "{} whole periods of {repeats_s} s are left behind the first {skip} ({left_out} more have holes), and \
+             {MIN_PERIODS} are needed, better 7",
             periods.len()
         ));
     }

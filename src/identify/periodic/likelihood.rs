@@ -6,16 +6,15 @@
 //! and from Sanathanan and Koerner's iteration (IEEE TAC 8, 1963, doi:10.1109/TAC.1963.1105517). With a held input the
 //! lines of the samples follow B/A exactly, and its H(s) is also the maximum likelihood H(s).
 
+use super::super::descent::{Descent, Lowest};
 use super::super::estimated::Estimated;
 use super::super::model::{Orders, Polynomials};
-use super::super::output_error::damped_step;
 use super::super::regression::{Triangle, solve};
 use super::super::uncertainty::Covariance;
 use super::average::{Averaged, Line, MIN_PERIODS};
 use nalgebra::Complex;
 
-const MAX_STEPS: usize = 200;
-const COST_TOLERANCE: f64 = 1e-14;
+const DESCENT: Descent = Descent { first_damping: 1e-4, tolerance: 1e-14, max_steps: 200 };
 /// Rounds of Sanathanan and Koerner's iteration; it need not converge.
 const ROUNDS: usize = 20;
 /// Rounding noise, relative to both signals.
@@ -45,15 +44,17 @@ pub(crate) fn fit(records: &[Averaged], orders: Orders, initial: &[Polynomials])
     let iterated = sanathanan_koerner(&lines, orders);
     let same = |model: &&Polynomials| model.orders() == orders && model.is_stable();
     let all = initial.iter().filter(same).chain(iterated.as_ref().filter(|m| m.is_stable()));
-    let (model, steps, converged) = all
-        .filter_map(|model| descend(&lines, model))
-        .min_by(|a, b| cost(&lines, &a.0).total_cmp(&cost(&lines, &b.0)))?;
+    let allowed = |model: &Polynomials| if model.is_stable() { cost(&lines, model) } else { f64::INFINITY };
+    let derivatives = |model: &Polynomials| Some(triangle(&lines, model));
+    let Lowest { at: model, cost: least, steps, converged } = all
+        .filter_map(|model| DESCENT.run(model.clone(), allowed, derivatives, Polynomials::moved))
+        .min_by(|a, b| a.cost.total_cmp(&b.cost))?;
     let solution = solve(triangle(&lines, &model))?;
     // With variances from M periods the residual is larger by (M−1)/(M−2) than with known ones, and the model's
     // covariance by (M−2)/(M−3), which JᵀJ underestimates by another (M−1)/(M−2) (section 10.9).
     let m = records.iter().map(|r| r.periods).min().unwrap_or(MIN_PERIODS).max(MIN_PERIODS) as f64;
     let free = lines.len() as f64 - 0.5 * parameters as f64;
-    let left = cost(&lines, &model) / (free * (m - 1.0) / (m - 2.0));
+    let left = least / (free * (m - 1.0) / (m - 2.0));
     let left_sd = ((m - 1.0) / (m - 3.0) / free).sqrt();
     // Real and imaginary part have half the variance each. A residual beyond noise widens σ.
     let scale = (0.5 * (m - 1.0) / (m - 3.0) * left.max(1.0)).sqrt();
@@ -65,28 +66,6 @@ pub(crate) fn fit(records: &[Averaged], orders: Orders, initial: &[Polynomials])
         model,
     };
     Some(Found { estimated, left, left_sd, steps, converged })
-}
-
-/// Gauss-Newton from `initial`; never goes to an unstable model.
-fn descend(lines: &[&Line], initial: &Polynomials) -> Option<(Polynomials, usize, bool)> {
-    let mut model = initial.clone();
-    let mut best = cost(lines, &model);
-    let (mut damping, mut steps, mut converged) = (1e-4, 0, false);
-    while steps < MAX_STEPS && !converged {
-        steps += 1;
-        let step = damped_step(&triangle(lines, &model), damping)?;
-        let trial = model.with_parameters((model.parameters() + step).as_slice());
-        let there = if trial.is_stable() { cost(lines, &trial) } else { f64::INFINITY };
-        if there < best {
-            converged = best - there <= COST_TOLERANCE * best;
-            (model, best) = (trial, there);
-            damping = f64::max(damping * 0.1, 1e-12);
-        } else {
-            converged = damping > 1e8;
-            damping *= 10.0;
-        }
-    }
-    best.is_finite().then_some((model, steps, converged))
 }
 
 fn cost(lines: &[&Line], model: &Polynomials) -> f64 {

@@ -94,8 +94,8 @@ pub(crate) fn fit(
     }
     let (_, found) = best.ok_or_else(|| {
         format!(
-            "{lines} lines stand out of the noise, and no stable model of the order asked for follows from them: a lower order, \
-             more periods, or a stronger input may do"
+            "{lines} lines stand out of the noise, and no stable model of the order asked for follows from them: a \
+             lower order, more periods, or a stronger input may do"
         )
     })?;
     let likelihood::Found { estimated, left, left_sd, steps, converged } = found;

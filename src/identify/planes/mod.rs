@@ -100,24 +100,15 @@ impl Motion {
         delay_s: f64,
     ) -> Result<Self, PlanesError> {
         let name = recording.path.display().to_string();
-        let angles = |part: usize| {
-            let mut same = recording.clone();
-            for frame in &mut same.frames {
-                frame.theta_rad = frame.tangent.map(|t| t[part].atan2(t.z));
-            }
-            same
-        };
         if recording.frames.iter().all(|frame| frame.tangent.is_none()) && !recording.frames.is_empty() {
             return Err(PlanesError::NoTangent { name, frames: recording.frames.len() });
         }
-        let observed = [Observed::of(&angles(0))?, Observed::of(&angles(1))?];
-        let [first, _] = &observed;
-        let held = coils.iter().map(|coil| Ok(first.commands(source, currents, *coil)?.zero_before()));
+        let angle = |part: usize| Observed::of_angle(recording, |frame| frame.tangent.map(|t| t[part].atan2(t.z)));
+        let [x, y] = [angle(0)?, angle(1)?];
+        let held = coils.iter().map(|coil| Ok(x.commands(source, currents, *coil)?.zero_before()));
         let held = held.collect::<Result<Vec<_>, PlanesError>>()?;
         let Some(one) = held.first() else { return Err(PlanesError::Still { name }) };
-        let series = observed.each_ref().map(|own| own.series(one, None, delay_s));
-        let [a, b] = series;
-        let series = [a?, b?];
+        let series = [x.series(one, None, delay_s)?, y.series(one, None, delay_s)?];
         let grid = super::grid::Grid::of(&name, &series[0].time_s)?;
         let samples = grid.places.last().map_or(0, |last| last + 1);
         let start_s = series[0].time_s.first().copied().unwrap_or(0.0);
@@ -260,8 +251,8 @@ pub(crate) fn identify(training: &[Motion], judging: &[Motion], settings: Settin
     }
     let Some((_, found)) = best else {
         return Err(undetermined(
-            "the records do not tell the coils apart: their currents depend on each other, or move too little; let each of \
-             them change on its own (catoptra excite multisine, with other seeds)"
+            "the records do not tell the coils apart: their currents depend on each other, or move too little; let \
+             each of them change on its own (catoptra excite multisine, with other seeds)"
                 .to_owned(),
         ));
     };
@@ -330,8 +321,8 @@ fn error_percent(system: &System, records: &[Motion]) -> Option<f64> {
     Some(all.iter().sum::<f64>() / all.len().max(1) as f64)
 }
 
-/// The frequencies that contain the energy of the currents, of any coil, radians per sample; all when the records are too
-/// short to say.
+/// The frequencies that contain the energy of the currents, of any coil, radians per sample; all when the records are
+/// too short to say.
 fn excited(records: &[Motion]) -> (f64, f64) {
     let coils = records.first().map_or(0, |record| record.input.ncols());
     let bands = (0..coils).filter_map(|coil| {

@@ -73,8 +73,8 @@ impl System {
         eigenvalues(&self.a).is_some_and(|poles| poles.iter().all(|pole| pole.norm() < 1.0))
     }
 
-    /// Coordinates in which states are driven and seen alike, for a band of frequencies (radians per sample) or for all;
-    /// `None` when the system is not stable.
+    /// Coordinates in which states are driven and seen alike, for a band of frequencies (radians per sample) or for
+    /// all; `None` when the system is not stable.
     pub(crate) fn balanced(&self, band: Option<(f64, f64)>) -> Option<Balanced> {
         if !self.is_stable() {
             return None;

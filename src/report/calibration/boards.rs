@@ -53,12 +53,12 @@ pub(super) fn section(done: &RigCalibration, pictures: &[(String, Result<Grey, S
         .collect();
     format!(
         "<h2>The boards as they were found</h2>\n\
-         <p>The pictures with the smallest, the median and the largest residual. Circles: corners found, by view: {}. Lines: \
-         residuals, {times} times too long.</p>\n{pictures}{}",
+         <p>The pictures with the smallest, the median and the largest residual. Circles: corners found, by view: {}. \
+         Lines: residuals, {times} times too long.</p>\n{pictures}{}",
         keys.join(", "),
         trouble(
-            "circles that are not on corners, a mirrored board counted as the direct one, long lines on one side of the board only: \
-             it is bent, or partly shaded."
+            "circles that are not on corners, a mirrored board counted as the direct one, long lines on one side of \
+             the board only: it is bent, or partly shaded."
         )
     )
 }
@@ -73,7 +73,8 @@ fn drawn(done: &RigCalibration, at: usize, grey: &Grey, times: f64) -> Result<St
         let (from, to) = (corner.pixel, corner.pixel + residual * times);
         let _ = writeln!(
             marks,
-            "<g stroke=\"{}\"><circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{radius:.1}\"/><path d=\"M{:.1} {:.1}L{:.1} {:.1}\"/></g>",
+            "<g stroke=\"{}\"><circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{radius:.1}\"/><path d=\"M{:.1} {:.1}L{:.1} \
+             {:.1}\"/></g>",
             css(PALETTE.marker(corner.view)),
             from.x,
             from.y,
@@ -85,9 +86,10 @@ fn drawn(done: &RigCalibration, at: usize, grey: &Grey, times: f64) -> Result<St
     }
     // Pixel (0, 0) is the middle of the first.
     Ok(format!(
-        "<svg class=\"picture\" viewBox=\"-0.5 -0.5 {width} {height}\" role=\"img\" aria-label=\"Corners of the board\" fill=\"none\" \
-         stroke-width=\"{:.2}\">\n\
-         <image href=\"data:image/jpeg;base64,{}\" x=\"-0.5\" y=\"-0.5\" width=\"{width}\" height=\"{height}\"/>\n{marks}</svg>\n",
+        "<svg class=\"picture\" viewBox=\"-0.5 -0.5 {width} {height}\" role=\"img\" aria-label=\"Corners of the \
+         board\" fill=\"none\" stroke-width=\"{:.2}\">\n\
+         <image href=\"data:image/jpeg;base64,{}\" x=\"-0.5\" y=\"-0.5\" width=\"{width}\" \
+         height=\"{height}\"/>\n{marks}</svg>\n",
         radius / 3.0,
         BASE64_STANDARD.encode(jpeg)
     ))

@@ -4,7 +4,7 @@
 
 mod boards;
 mod figures;
-pub(super) mod set_up;
+mod set_up;
 mod tables;
 mod words;
 
@@ -65,8 +65,8 @@ pub(crate) fn page(
     body += &left_out(info, done);
     body += &facts(info, done);
     body += &format!(
-        "<footer>Catoptra {}. Errors are 1σ: of places, the root mean square of the distance in space. Camera frame: x right, \
-         y down, z forward. This file needs no network.</footer>\n",
+        "<footer>Catoptra {}. Errors are 1σ: of places, the root mean square of the distance in space. Camera frame: x \
+         right, y down, z forward. This file needs no network.</footer>\n",
         env!("CARGO_PKG_VERSION")
     );
     page::page(&format!("Calibration of {}", info.rig), &body)
@@ -93,9 +93,9 @@ fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, diagnostics: &[Diag
             let [low, high] = v.extent();
             let side = |axis: usize| format!("{:.0} to {:.0}", low[axis] * 1e3, high[axis] * 1e3);
             format!(
-                "The calibration adds {} to positions and displacements in the base frame ({} at the worst place), {} to angles, \
-                 and {} to places counted from the camera, inside the volume that the boards filled: x {}, y {}, z {} mm of the \
-                 camera frame. Further out errors grow quickly.",
+                "The calibration adds {} to positions and displacements in the base frame ({} at the worst place), {} \
+                 to angles, and {} to places counted from the camera, inside the volume that the boards filled: x {}, \
+                 y {}, z {} mm of the camera frame. Further out errors grow quickly.",
                 mm(relative),
                 mm(relative_worst),
                 degrees(v.angle_rad.0),
@@ -112,12 +112,13 @@ fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, diagnostics: &[Diag
         String::new()
     } else {
         format!(
-            "<div class=\"doubts\"><p><strong>Do not rely on these numbers yet.</strong> They suppose that nothing but noise is \
-             wrong, and more is:</p>\n<ul>\n{findings}</ul></div>\n"
+            "<div class=\"doubts\"><p><strong>Do not rely on these numbers yet.</strong> They suppose that nothing but \
+             noise is wrong, and more is:</p>\n<ul>\n{findings}</ul></div>\n"
         )
     };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra calibration of a rig</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{findings}</header>\n",
+        "<header>\n<p class=\"kind\">Catoptra calibration of a rig</p>\n<h1>{}</h1>\n<p \
+         class=\"verdict\">{answer}</p>\n{findings}</header>\n",
         escape(&info.rig)
     )
 }
@@ -149,8 +150,8 @@ fn which_matters(verdict: &Verdict) -> String {
     let (direction, weakest_m) = verdict.weakest;
     let why = if absolute > 5.0 * relative {
         format!(
-            " It is so much larger because the pictures tell least where the volume as a whole is {}: that direction alone \
-             is open by {}. All places shift by it together; no displacement and no angle sees it.",
+            " It is so much larger because the pictures tell least where the volume as a whole is {}: that direction \
+             alone is open by {}. All places shift by it together; no displacement and no angle sees it.",
             in_words(&direction).map_or_else(|| along(&direction), str::to_owned),
             mm(weakest_m)
         )
@@ -158,7 +159,8 @@ fn which_matters(verdict: &Verdict) -> String {
         String::new()
     };
     let limit = if 2.0 * relative < random {
-        "That is more than the calibration adds in the base frame: there, better pictures would hardly make single frames better."
+        "That is more than the calibration adds in the base frame: there, better pictures would hardly make single \
+         frames better."
     } else if relative < 2.0 * random {
         "That is about as much as the calibration adds in the base frame."
     } else {
@@ -166,17 +168,18 @@ fn which_matters(verdict: &Verdict) -> String {
     };
     format!(
         "<h2>Which number matters</h2>\n\
-         <p><strong>Base frame, {} and {}.</strong> Where a band is, counted from the base band at rest; how far it moved; the coil’s \
-         tangent and θ. All of them compare places measured with one rig, and what the rig gets wrong for all places alike \
-         drops out. This is the number for experiments with a catheter, and for comparing runs that used this rig file. How well \
-         the base frame itself was found comes on top.</p>\n\
-         <p><strong>Camera frame, {}.</strong> Where a place is, counted from the lens. It matters only if positions are to \
-         be joined with something this camera did not measure: the scanner’s isocentre, a drawing of the tank, another camera.{why}</p>\n\
-         <p><strong>Noise, {}.</strong> What the noise of a corner, {:.3} px here, adds to its place in a single frame. {limit} Noise \
-         averages out over frames, what the calibration adds does not. Bands are no corners: their own σ is in the report of \
-         each tracking.</p>\n\
-         <p class=\"note\">All are 1σ: twice as much is no surprise. And all suppose that mirrors and walls are flat, that squares, glass and refractive indices are \
-         what was given, and that camera, mirror and tank stay where they were: calibrate again after moving one of them.</p>\n",
+         <p><strong>Base frame, {} and {}.</strong> Where a band is, counted from the base band at rest; how far it \
+         moved; the coil’s tangent and θ. All of them compare places measured with one rig, and what the rig gets \
+         wrong for all places alike drops out. This is the number for experiments with a catheter, and for comparing \
+         runs that used this rig file. How well the base frame itself was found comes on top.</p>\n\
+         <p><strong>Camera frame, {}.</strong> Where a place is, counted from the lens. It matters only if positions \
+         are to be joined with something this camera did not measure: the scanner’s isocentre, a drawing of the tank, \
+         another camera.{why}</p>\n<p><strong>Noise, {}.</strong> What the noise of a corner, {:.3} px here, adds to \
+         its place in a single frame. {limit} Noise averages out over frames, what the calibration adds does not. \
+         Bands are no corners: their own σ is in the report of each tracking.</p>\n\
+         <p class=\"note\">All are 1σ: twice as much is no surprise. And all suppose that mirrors and walls are flat, \
+         that squares, glass and refractive indices are what was given, and that camera, mirror and tank stay where \
+         they were: calibrate again after moving one of them.</p>\n",
         mm(relative),
         degrees(verdict.angle_rad.0),
         mm(absolute),
@@ -207,15 +210,16 @@ fn over_the_volume(done: &RigCalibration, verdict: &Verdict) -> String {
     };
     format!(
         "<h2>Over the working volume</h2>\n\
-         <p>Expected error at {} all over the volume that the boards filled; grey outlines are the boards. Colours begin at 0 \
-         in both plots, and each has its own scale. Drag to turn.</p>\n<div class=\"pair\">\n{}{}</div>\n{}{}",
+         <p>Expected error at {} all over the volume that the boards filled; grey outlines are the boards. Colours \
+         begin at 0 in both plots, and each has its own scale. Drag to turn.</p>\n<div \
+         class=\"pair\">\n{}{}</div>\n{}{}",
         plural(verdict.expected.len(), "place"),
         plot("plot-relative", "Base frame (relative)", relative),
         plot("plot-absolute", "Camera frame (absolute)", absolute),
         table(1, &["Expected error (1σ)", "Median (mm)", "Worst (mm)", "Worst place (mm)"], &rows),
         trouble(
-            "in the base frame, an end of the volume where the catheter will be much worse than the middle: no board was there. \
-             The volume reaches as far as the boards; outside it nothing is promised."
+            "in the base frame, an end of the volume where the catheter will be much worse than the middle: no board \
+             was there. The volume reaches as far as the boards; outside it nothing is promised."
         ),
     )
 }
@@ -241,8 +245,9 @@ fn set_up(done: &RigCalibration) -> String {
         )
     };
     format!(
-        "<h2>The set-up to scale</h2>\n<p>As it was found: the lens in the origin, each mirror and wall as far as light of the boards meets \
-         it, and the way of light to the middle of each board.</p>\n<div class=\"pair\">\n{}{}</div>\n{}",
+        "<h2>The set-up to scale</h2>\n<p>As it was found: the lens in the origin, each mirror and wall as far as \
+         light of the boards meets it, and the way of light to the middle of each board.</p>\n<div \
+         class=\"pair\">\n{}{}</div>\n{}",
         drawn("plot-above", "From above", (0, 2, 1.0), ["x, right (mm)", "z, forward (mm)"]),
         drawn("plot-side", "From the side", (2, 1, -1.0), ["z, forward (mm)", "up (mm)"]),
         trouble("anything that does not stand as it does in the laboratory.")
@@ -254,12 +259,14 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
     let edges = LengthErrors::of(good().flat_map(|h| &h.edges));
     let diagonals = LengthErrors::of(good().flat_map(|h| &h.diagonals));
     let mut text = "<h2>Checked on held-out pictures</h2>\n\
-         <p>Each picture was left out in turn, the rig solved from the others, and the board in the picture left out measured \
-         with that rig as the tracker would. The lengths on the board are known: this check needs no model of the errors.</p>\n"
+         <p>Each picture was left out in turn, the rig solved from the others, and the board in the picture left out \
+         measured with that rig as the tracker would. The lengths on the board are known: this check needs no model of \
+         the errors.</p>\n"
         .to_owned();
     let (Some(edges), Some(diagonals)) = (edges, diagonals) else {
         return text
-            + "<p class=\"note\">Without any one of its pictures the rig is open: there is nothing to check it with.</p>\n";
+            + "<p class=\"note\">Without any one of its pictures the rig is open: there is nothing to check it \
+                with.</p>\n";
     };
     let judged = if edges.beyond_noise() || diagonals.beyond_noise() {
         "That is more than the noise of the corners explains."
@@ -271,8 +278,8 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
     let scales: Vec<f64> = good().filter_map(|h| h.scale).collect();
     let scale = scales.iter().sum::<f64>() / scales.len().max(1) as f64;
     text += &format!(
-        "<p>{} of {:.1} mm are off by {} RMS, {} of {:.1} mm by {}; noise alone explains {} and {}. {judged} All boards together \
-         come out {} in 100 mm.</p>\n",
+        "<p>{} of {:.1} mm are off by {} RMS, {} of {:.1} mm by {}; noise alone explains {} and {}. {judged} All \
+         boards together come out {} in 100 mm.</p>\n",
         plural(edges.count, "edge"),
         edges.nominal_m * 1e3,
         mm(edges.rms_m),
@@ -288,9 +295,10 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
     );
     text += &tables::held_out(done, held);
     text + &trouble(
-        "one picture far worse than the others: its board was moved during the exposure, or bent. One sign of the scale in all near \
-         pictures and the other in all far ones. <strong>Not seen here:</strong> what shifts everything together, a wrong size of the \
-         squares (all boards have it), and hardly a wrong index or thickness of the glass: walls give way to it.",
+        "one picture far worse than the others: its board was moved during the exposure, or bent. One sign of the \
+         scale in all near pictures and the other in all far ones. <strong>Not seen here:</strong> what shifts \
+         everything together, a wrong size of the squares (all boards have it), and hardly a wrong index or thickness \
+         of the glass: walls give way to it.",
     )
 }
 
@@ -312,8 +320,8 @@ fn better(verdict: &Verdict) -> String {
          would be with one thing more, best first: a measured distance, or one picture more. Of pictures \
          with the board tilted alike, only the best is named.</p>\n\
          <h3>For the base frame</h3>\n{}<h3>For the camera frame</h3>\n{}\
-         <p class=\"note\">Distances are those of a surface’s plane from the lens’s centre, along the plane’s normal; give them with \
-         <code>--distance NAME=…:…</code>.</p>\n",
+         <p class=\"note\">Distances are those of a surface’s plane from the lens’s centre, along the plane’s normal; \
+         give them with <code>--distance NAME=…:…</code>.</p>\n",
         along(&direction),
         mm(sd_m),
         table(1, &["With", "Base frame (mm)", "Camera frame (mm)"], &rows(verdict.helpful_relative(), false)),
@@ -343,13 +351,13 @@ fn residuals(done: &RigCalibration) -> String {
         .collect();
     format!(
         "<h2>What the pictures leave</h2>\n\
-         <p>Residuals: from each corner, found minus where the rig puts it, all pictures of a view together, drawn <strong>{times} \
-         times</strong> too long. Bold: means of neighbouring corners, as many times too long. Hover for the picture.</p>\n\
-         <div class=\"pair\">\n{plots}</div>\n{}\
+         <p>Residuals: from each corner, found minus where the rig puts it, all pictures of a view together, drawn \
+         <strong>{times} times</strong> too long. Bold: means of neighbouring corners, as many times too long. Hover \
+         for the picture.</p>\n<div class=\"pair\">\n{plots}</div>\n{}\
          <h3>Picture by picture</h3>\n{}",
         trouble(
-            "bold arrows that follow one another, around the middle or towards an edge: the lens, a mirror or a wall is not what the \
-             rig takes it for. Noise has short bold arrows in all directions."
+            "bold arrows that follow one another, around the middle or towards an edge: the lens, a mirror or a wall \
+             is not what the rig takes it for. Noise has short bold arrows in all directions."
         ),
         figure("plot-pictures", &figures::by_picture(done, &views), 330, false)
     ) + &trouble("one picture or one view standing above the others.")
@@ -381,9 +389,9 @@ fn parameters(done: &RigCalibration) -> String {
     format!(
         "<h2>The rig, and how well each part is known</h2>\n{}{}{}\
          <h3>Correlations</h3>\n\
-         <p>How errors of two parameters go together: +1 always alike, −1 always opposite, 0 independent. Strong ones are the rule: \
-         distances of walls and mirrors change the pictures much alike, and so do the terms of the distortion. Each alone is then \
-         known badly, what matters of both together well. {strongest}</p>\n{}",
+         <p>How errors of two parameters go together: +1 always alike, −1 always opposite, 0 independent. Strong ones \
+         are the rule: distances of walls and mirrors change the pictures much alike, and so do the terms of the \
+         distortion. Each alone is then known badly, what matters of both together well. {strongest}</p>\n{}",
         tables::surfaces(solution),
         tables::lens(solution),
         tables::known(solution),

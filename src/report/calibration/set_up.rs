@@ -1,36 +1,11 @@
 //! The set-up to scale: camera, mirrors, walls, boards, and the light between them, from above and from the side.
 
-use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, css_faint, rounded};
-use super::super::html::escape;
+use super::super::chart::QUIET;
+use super::super::scale_drawing::{ScaleDrawing, met};
 use crate::calibrate::bundle::{Corner, Solution};
 use crate::calibrate::rig::RigCalibration;
-use crate::optics::{OpticalPath, Ray, Surface};
-use nalgebra::{Point2, Point3};
-use plotly::common::{HoverInfo, Line, Marker, MarkerSymbol, Mode};
-use plotly::layout::{AxisConstrain, HoverMode};
-use plotly::{Plot, Scatter};
-
-/// How far a plane is drawn beyond the part that light meets, as a fraction.
-const BEYOND: f64 = 0.08;
-
-/// Where a light path from the camera through `pixel` meets each of its surfaces, camera first, as far as it goes.
-pub(in crate::report) fn met(path: &OpticalPath, pixel: &Point2<f64>) -> Vec<Point3<f64>> {
-    let mut points = vec![Point3::origin()];
-    for (k, surface) in path.surfaces.iter().enumerate() {
-        let before = OpticalPath { lens: path.lens, surfaces: path.surfaces.iter().take(k).copied().collect() };
-        let Ok(ray) = before.trace(pixel) else { break };
-        let Some(point) = on_plane(&ray, surface) else { break };
-        points.push(point);
-    }
-    points
-}
-
-fn on_plane(ray: &Ray, surface: &Surface) -> Option<Point3<f64>> {
-    let plane = surface.plane();
-    let along = plane.normal().dot(&ray.direction);
-    let t = -plane.signed_distance(&ray.origin) / along;
-    (t.is_finite() && t > 0.0).then(|| ray.at(t))
-}
+use nalgebra::Point3;
+use plotly::Plot;
 
 /// For each surface, where the light of all corners meets it.
 fn lit(solution: &Solution, corners: &[Corner]) -> Vec<Vec<Point3<f64>>> {
@@ -48,25 +23,6 @@ fn lit(solution: &Solution, corners: &[Corner]) -> Vec<Vec<Point3<f64>>> {
     all
 }
 
-/// The ends of some points in the drawing, slightly extended.
-pub(in crate::report) fn ends(points: &[[f64; 2]]) -> Option<[[f64; 2]; 2]> {
-    let n = points.len().max(1) as f64;
-    let [x, y] = [0, 1].map(|k| points.iter().map(|p| p[k]).sum::<f64>() / n);
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-    for p in points {
-        let (u, v) = (p[0] - x, p[1] - y);
-        (xx, xy, yy) = (xx + u * u, xy + u * v, yy + v * v);
-    }
-    // Along the direction of largest scatter.
-    let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
-    let (cos, sin) = (angle.cos(), angle.sin());
-    let along = points.iter().map(|p| (p[0] - x) * cos + (p[1] - y) * sin);
-    let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
-    let margin = BEYOND * (high - low);
-    let at = |t: f64| [x + t * cos, y + t * sin];
-    (high > low).then(|| [at(low - margin), at(high + margin)])
-}
-
 /// Seen along the third axis: `axes` are the camera frame's axes that point right and up in the drawing, the second
 /// with its sign.
 pub(super) fn drawing(
@@ -75,107 +31,31 @@ pub(super) fn drawing(
     axes: (usize, usize, f64),
     titles: [&str; 2],
 ) -> Plot {
-    let flat = |p: &Point3<f64>| [p[axes.0] * 1e3, axes.2 * p[axes.1] * 1e3];
-    let axis = |title: &str| chart::value_axis(title).constrain(AxisConstrain::Domain).zero_line(false);
-    let layout = chart::layout()
-        .x_axis(axis(titles[0]))
-        .y_axis(axis(titles[1]).scale_anchor("x"))
-        .hover_mode(HoverMode::Closest);
-    let mut plot = chart::plot(layout);
-    let split = |points: &[Option<[f64; 2]>]| -> (Vec<Option<f64>>, Vec<Option<f64>>) {
-        let of = |k: usize| points.iter().map(|p| p.and_then(|p| rounded(p[k], 2))).collect();
-        (of(0), of(1))
-    };
+    let mut drawing = ScaleDrawing::new(axes, titles);
     let geometry = &done.solution.geometry;
     for (view, (name, _)) in geometry.views.iter().enumerate() {
         let path = geometry.path(view);
-        let mut line = Vec::new();
+        let mut light = Vec::new();
         for (picture, pose) in done.solution.poses.iter().enumerate() {
             let own = done.corners.iter().filter(|c| c.view == view && c.picture == picture);
             // The board's centre represents it.
             let middle = own.min_by(|a, b| a.place.coords.norm().total_cmp(&b.place.coords.norm()));
             if let Some(corner) = middle {
-                line.extend(met(&path, &corner.pixel).iter().map(|p| Some(flat(p))));
-                line.extend([Some(flat(&(pose * corner.place))), None]);
+                light.extend(met(&path, &corner.pixel).into_iter().map(Some));
+                light.extend([Some(pose * corner.place), None]);
             }
         }
-        let (x, y) = split(&line);
-        let colour = if view == 0 { CURVE } else { PALETTE.marker(view) };
-        plot.add_trace(
-            Scatter::new(x, y)
-                .name(format!("light, {}", escape(name)))
-                .mode(Mode::Lines)
-                .line(Line::new().color(css_faint(colour, 0.45)).width(1.0))
-                .connect_gaps(false)
-                .hover_info(HoverInfo::Skip),
-        );
+        drawing.light(view, name, &light);
     }
-    let outlines: Vec<_> = boards
-        .iter()
-        .flat_map(|board| board.iter().chain(board.first()).map(|p| Some(flat(p))).chain([None]))
-        .collect();
-    let (x, y) = split(&outlines);
-    plot.add_trace(
-        Scatter::new(x, y)
-            .name("boards")
-            .mode(Mode::Lines)
-            .line(Line::new().color(QUIET).width(1.4))
-            .connect_gaps(false)
-            .hover_info(HoverInfo::Skip),
-    );
+    let outline = |board: &Vec<Point3<f64>>| {
+        board.iter().chain(board.first()).copied().map(Some).chain([None]).collect::<Vec<_>>()
+    };
+    let outlines: Vec<_> = boards.iter().flat_map(outline).collect();
+    drawing.lines("boards", &outlines, QUIET, 1.4);
     for ((name, surface), points) in geometry.surfaces.iter().zip(lit(&done.solution, &done.corners)) {
-        let Some(ends) = ends(&points.iter().map(flat).collect::<Vec<_>>()) else { continue };
-        let (x, y) = split(&ends.map(Some));
-        let (colour, width) = match surface {
-            Surface::Mirror(_) => (css(PALETTE.miss), 4.0),
-            Surface::Wall(_) => (css(PALETTE.gap), 3.0),
-        };
         let distance = surface.plane().offset_m().abs() * 1e3;
-        plot.add_trace(
-            Scatter::new(x, y)
-                .name(escape(name))
-                .mode(Mode::Lines)
-                .line(Line::new().color(colour).width(width))
-                .hover_template(format!("{}, {distance:.1} mm from the lens<extra></extra>", escape(name))),
-        );
+        drawing.surface(name, surface, &points, &format!(", {distance:.1} mm from the lens"));
     }
-    plot.add_trace(
-        Scatter::new(vec![Some(0.0)], vec![Some(0.0)])
-            .name("camera")
-            .mode(Mode::Markers)
-            .marker(Marker::new().color(INK).size(11).symbol(MarkerSymbol::Diamond))
-            .hover_template("lens<extra></extra>"),
-    );
-    plot
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::calibrate::geometry::tests::geometry;
-
-    #[test]
-    fn light_goes_from_surface_to_surface_and_ends_on_the_last_ray() {
-        let geometry = geometry();
-        for view in 0..geometry.views.len() {
-            let path = geometry.path(view);
-            let place = Point3::new(-0.12, 0.01, 1.38);
-            let pixel = path.project(&place).unwrap();
-            let points = met(&path, &pixel);
-            assert_eq!(points.len(), 1 + path.surfaces.len());
-            for (point, surface) in points.iter().skip(1).zip(&path.surfaces) {
-                assert!(surface.plane().signed_distance(point).abs() < 1e-9, "{point}");
-            }
-            let last = path.trace(&pixel).unwrap();
-            assert!((last.at(last.nearest(&place)) - place).norm() < 1e-6);
-        }
-    }
-
-    #[test]
-    fn a_line_reaches_from_one_end_to_the_other() {
-        let points: Vec<[f64; 2]> = (0..=10).map(|k| [f64::from(k), 2.0 * f64::from(k)]).collect();
-        let [a, b] = ends(&points).unwrap();
-        assert!((a[0] + 0.8).abs() < 1e-9 && (b[1] - 21.6).abs() < 1e-9, "{a:?} {b:?}");
-        assert_eq!(ends(&[[1.0, 1.0]]), None);
-    }
+    drawing.camera();
+    drawing.finish()
 }

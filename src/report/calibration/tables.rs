@@ -110,7 +110,8 @@ pub(super) fn lens(solution: &Solution) -> String {
         .collect();
     let heads = ["Parameter", "Value", "σ", "Before", "σ before"];
     format!(
-        "<h3>Lens</h3>\n<p>Before: as <code>catoptra calibrate camera</code> found it, without mirror and water.</p>\n{}",
+        "<h3>Lens</h3>\n<p>Before: as <code>catoptra calibrate camera</code> found it, without mirror and \
+         water.</p>\n{}",
         table(1, &heads, &rows)
     )
 }
@@ -159,8 +160,8 @@ pub(super) fn known(solution: &Solution) -> String {
         return String::new();
     }
     format!(
-        "<h3>What else was known</h3>\n<p>Off: how far what was given is from what everything else says, in σ of the two \
-         together. Above {CONTRADICTION_SD} the pictures contradict it: measure again.</p>\n{}",
+        "<h3>What else was known</h3>\n<p>Off: how far what was given is from what everything else says, in σ of the \
+         two together. Above {CONTRADICTION_SD} the pictures contradict it: measure again.</p>\n{}",
         table(1, &["What", "Given", "Came out", "Off (σ)"], &rows)
     )
 }
@@ -209,8 +210,8 @@ pub(super) fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution
     ]
     .map(Html::raw);
     format!(
-        "{}<p class=\"note\">Rays pass by: how far the rays of the views pass the place nearest to them all, the number by which \
-         the tracker tells that two views show the same band.</p>\n",
+        "{}<p class=\"note\">Rays pass by: how far the rays of the views pass the place nearest to them all, the \
+         number by which the tracker tells that two views show the same band.</p>\n",
         table(1, &heads, &rows)
     )
 }

@@ -23,12 +23,13 @@ pub(crate) fn applied_page(data: &Data, done: &Applied, saved: &Saved, provenanc
         notes
     } else {
         format!(
-            "<div class=\"doubts\"><p><strong>To be known before the numbers are used:</strong></p>\n<ul>\n{notes}</ul></div>\n"
+            "<div class=\"doubts\"><p><strong>To be known before the numbers are \
+             used:</strong></p>\n<ul>\n{notes}</ul></div>\n"
         )
     };
     let mut body = format!(
-        "<header>\n<p class=\"kind\">Catoptra: a model on other records</p>\n<h1>{}</h1>\n<p class=\"verdict\">From {} to {}, \
-         simulated with {}. Nothing was fitted.</p>\n{notes}</header>\n",
+        "<header>\n<p class=\"kind\">Catoptra: a model on other records</p>\n<h1>{}</h1>\n<p class=\"verdict\">From {} \
+         to {}, simulated with {}. Nothing was fitted.</p>\n{notes}</header>\n",
         escape(&provenance.title),
         escape(&provenance.input),
         escape(&provenance.output),
@@ -46,8 +47,8 @@ pub(crate) fn applied_page(data: &Data, done: &Applied, saved: &Saved, provenanc
         body += "<p class=\"note\">The middle of the record, each sample:</p>\n";
         body += &figure(&format!("plot-middle-{k}"), &middle, 300, false);
     }
-    body += "<h2>Frequency response</h2>\n<p>Lines: the models. Dots: the data without a model (Welch's spectra). Grey: the band that the \
-             input excited. Dotted: half of the sampling rate.</p>\n";
+    body += "<h2>Frequency response</h2>\n<p>Lines: the models. Dots: the data without a model (Welch's spectra). \
+             Grey: the band that the input excited. Dotted: half of the sampling rate.</p>\n";
     body += &figure("plot-magnitude", &figures::magnitude(data, &shown), 360, true);
     body += &figure("plot-phase", &figures::phase(data, &shown), 300, true);
     body += "<h2>Origin</h2>\n";
@@ -107,9 +108,9 @@ fn errors(done: &Applied, provenance: &Provenance) -> String {
     }
     let heads = ["Record", "Model", "Error from rest (%)", "Error, start estimated (%)", "Best gain"];
     format!(
-        "<h2>Errors</h2>\n<p>Energy of the difference between observed and simulated signal, in percent of the energy of the observed \
-         one, as the paper's Table I; in brackets the fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖). Best gain: the factor that would bring the leading \
-         model's output nearest to what was observed.</p>\n{}",
+        "<h2>Errors</h2>\n<p>Energy of the difference between observed and simulated signal, in percent of the energy \
+         of the observed one, as the paper's Table I; in brackets the fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖). Best gain: the \
+         factor that would bring the leading model's output nearest to what was observed.</p>\n{}",
         table(2, &heads, &rows)
     )
 }

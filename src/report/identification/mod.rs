@@ -103,11 +103,13 @@ fn header(done: &Identification, provenance: &Provenance) -> String {
         String::new()
     } else {
         format!(
-            "<div class=\"doubts\"><p><strong>To be known before the numbers are used:</strong></p>\n<ul>\n{diagnostics}</ul></div>\n"
+            "<div class=\"doubts\"><p><strong>To be known before the numbers are \
+             used:</strong></p>\n<ul>\n{diagnostics}</ul></div>\n"
         )
     };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra identification</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{diagnostics}</header>\n",
+        "<header>\n<p class=\"kind\">Catoptra identification</p>\n<h1>{}</h1>\n<p \
+         class=\"verdict\">{answer}</p>\n{diagnostics}</header>\n",
         escape(&provenance.title)
     )
 }
@@ -172,9 +174,10 @@ fn polynomial(coefficients: &[f64]) -> String {
 }
 
 fn transfer_functions(done: &Identification) -> String {
-    let mut text = "<h2>Transfer function</h2>\n<p>H(s) in the form of the paper's Eq. 7, from the discrete model whose input is held \
-                    from sample to sample. The first is the one to use. The refined model is fitted to the data by its simulation error. The reduced \
-                    model of the same order is the paper's way; it inherits the errors of the full one.</p>\n"
+    let mut text = "<h2>Transfer function</h2>\n<p>H(s) in the form of the paper's Eq. 7, from the discrete model \
+                    whose input is held from sample to sample. The first is the one to use. The refined model is \
+                    fitted to the data by its simulation error. The reduced model of the same order is the paper's \
+                    way; it inherits the errors of the full one.</p>\n"
         .to_owned();
     let mut rows = Vec::new();
     let mut any = false;
@@ -190,8 +193,8 @@ fn transfer_functions(done: &Identification) -> String {
             polynomial(den)
         );
         if *conversion == Conversion::Tustin {
-            text += "<p class=\"note\">A real pole of the discrete model is not positive: converted by Tustin's rule, right at low \
-                     frequencies only.</p>\n";
+            text += "<p class=\"note\">A real pole of the discrete model is not positive: converted by Tustin's rule, \
+                     right at low frequencies only.</p>\n";
         }
         let names = |what: &str, of: &[f64], from: usize| -> Vec<Html> {
             (from..of.len()).map(|k| Html::raw(format!("{what}, s<sup>{}</sup>", of.len() - 1 - k))).collect()
@@ -260,9 +263,9 @@ fn table_1(done: &Identification, provenance: &Provenance) -> String {
         }
     }
     format!(
-        "<h2>Fit errors</h2>\n<p>As the paper's Table I: energy of the difference between observed and simulated signal, in percent of the \
-         energy of the observed one. In brackets the fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖). Simulated from the input alone; one step \
-         ahead the model also knows what was observed before.</p>\n{}",
+        "<h2>Fit errors</h2>\n<p>As the paper's Table I: energy of the difference between observed and simulated \
+         signal, in percent of the energy of the observed one. In brackets the fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖). \
+         Simulated from the input alone; one step ahead the model also knows what was observed before.</p>\n{}",
         table(1, &heads, &rows)
     )
 }
@@ -283,15 +286,16 @@ fn time_courses(data: &Data, done: &Shown<'_>, provenance: &Provenance) -> Strin
 }
 
 fn frequency(data: &Data, done: &Shown<'_>) -> String {
-    let mut text = "<h2>Frequency response</h2>\n<p>Lines: the models, with the band of one σ that the coefficients' errors make. Dots: the \
-                    data without a model (averaged periods where the input repeats, Welch's spectra otherwise). Grey: the band that the input excited; outside of it the models \
-                    extrapolate. Dotted: half of the sampling rate.</p>\n"
+    let mut text = "<h2>Frequency response</h2>\n<p>Lines: the models, with the band of one σ that the coefficients' \
+                    errors make. Dots: the data without a model (averaged periods where the input repeats, Welch's \
+                    spectra otherwise). Grey: the band that the input excited; outside of it the models extrapolate. \
+                    Dotted: half of the sampling rate.</p>\n"
         .to_owned();
     text += &figure("plot-magnitude", &figures::magnitude(data, done), 360, true);
     text += &figure("plot-phase", &figures::phase(data, done), 300, true);
     if done.spectrum.is_some() {
-        text += "<p class=\"note\">Coherence: the part of the output's power that follows the input. Where it falls, noise, or what is \
-                 not linear, decides.</p>\n";
+        text += "<p class=\"note\">Coherence: the part of the output's power that follows the input. Where it falls, \
+                 noise, or what is not linear, decides.</p>\n";
         text += &figure("plot-coherence", &figures::coherence(data, done), 200, true);
     }
     let mut rows = Vec::new();
@@ -308,11 +312,11 @@ fn frequency(data: &Data, done: &Shown<'_>) -> String {
             ]);
         }
     }
-    text += "<h3>Bandwidth</h3>\n<p>It depends on the definition. Of H(s), or of the samples, whose phase holds half a period of the hold too. \
-             Extrapolated: the frequency, or zero frequency, which it refers to, lies outside the excited band. The interval \
-             holds the middle 95 % of a residual bootstrap; there is none without a bootstrap, and none where noise biases the \
-             model (ARX, and what is reduced from it, with Eq. 6 or with residuals that are not white), because the scatter \
-             does not show the bias.</p>\n";
+    text += "<h3>Bandwidth</h3>\n<p>It depends on the definition. Of H(s), or of the samples, whose phase holds half a \
+             period of the hold too. Extrapolated: the frequency, or zero frequency, which it refers to, lies outside \
+             the excited band. The interval holds the middle 95 % of a residual bootstrap; there is none without a \
+             bootstrap, and none where noise biases the model (ARX, and what is reduced from it, with Eq. 6 or with \
+             residuals that are not white), because the scatter does not show the bias.</p>\n";
     text + &table(3, &["Model", "Of", "Definition", "Hz", "95 % interval", "Excited band"], &rows)
 }
 
@@ -342,8 +346,8 @@ fn orders(done: &Identification) -> String {
         })
         .collect();
     format!(
-        "<h2>Order and delay</h2>\n<p>{what}, each line a delay. {} of {} models are unstable, left out, and never chosen. Below, of each \
-         order the delay that does best; all of them: orders.csv.</p>\n{}{}",
+        "<h2>Order and delay</h2>\n<p>{what}, each line a delay. {} of {} models are unstable, left out, and never \
+         chosen. Below, of each order the delay that does best; all of them: orders.csv.</p>\n{}{}",
         unstable,
         done.candidates.len(),
         figure("plot-orders", &figures::orders(done, judged), 320, false),
@@ -373,7 +377,8 @@ fn reduction(done: &Identification) -> String {
         "Balanced for the excited band alone: no bound holds outside of it.".to_owned()
     };
     format!(
-        "<h2>Reduction</h2>\n<p>Hankel singular values: how much each state of the full model carries from input to output. {} kept. {bound}</p>\n{}",
+        "<h2>Reduction</h2>\n<p>Hankel singular values: how much each state of the full model carries from input to \
+         output. {} kept. {bound}</p>\n{}",
         plural(kept, "state"),
         figure("plot-hankel", &figures::hankel(reduced, kept), 260, false)
     )
@@ -383,9 +388,10 @@ fn residuals(done: &Identification) -> String {
     let Some(found) = &done.residuals else { return String::new() };
     let ((a, of_a), (c, of_c), (b, of_b)) = (found.auto_outside(), found.cross_outside(), found.fed_back());
     format!(
-        "<h2>Residuals</h2>\n<p>Of the full model, one step ahead: {} RMS. 99 % of the values lie between the lines when nothing is left to \
-         explain. Out of them: {a} of {of_a} lags of the residuals with themselves, {c} of {of_c} with the input, and {b} of {of_b} below \
-         lag 0, where only feedback from the output to the input shows.</p>\n<div class=\"pair\"><div>{}</div><div>{}</div></div>\n",
+        "<h2>Residuals</h2>\n<p>Of the full model, one step ahead: {} RMS. 99 % of the values lie between the lines \
+         when nothing is left to explain. Out of them: {a} of {of_a} lags of the residuals with themselves, {c} of \
+         {of_c} with the input, and {b} of {of_b} below lag 0, where only feedback from the output to the input \
+         shows.</p>\n<div class=\"pair\"><div>{}</div><div>{}</div></div>\n",
         number(found.rms),
         figure("plot-auto", &figures::correlation(found, true), 260, false),
         figure("plot-cross", &figures::correlation(found, false), 260, false)
@@ -422,8 +428,9 @@ fn records_table(provenance: &Provenance) -> String {
         "Late (ms)",
     ];
     format!(
-        "<p>Lost: places on the camera's grid without a frame. Missed: frames without an angle. Late: how much the output is later than \
-         the commands say, clocks, amplifier and system together; taken out only when asked for.</p>\n{}",
+        "<p>Lost: places on the camera's grid without a frame. Missed: frames without an angle. Late: how much the \
+         output is later than the commands say, clocks, amplifier and system together; taken out only when asked \
+         for.</p>\n{}",
         table(2, &heads, &rows)
     )
 }
@@ -458,11 +465,11 @@ fn periods(done: &Identification) -> String {
     let heads =
         ["Samples of a period", "Periods averaged", "Skipped", "Left out (holes)", "Lines excited", "First period off"];
     format!(
-        "<h2>Averaged periods</h2>\n<p>The input repeats, so what differs from period to period is noise, of each line and of both signals. \
-         The model of the periods is the one of largest likelihood under this noise. It leaves {:.2} ± {:.2} times what noise explains: \
-         clearly more than 1 means that what repeats is not linear, or of a higher order; σ is then widened. First period off: how much the \
-         first period differs from the others, over what noise explains: clearly more than 1 means that it had not settled. All lines: \
-         lines.csv.</p>\n{}",
+        "<h2>Averaged periods</h2>\n<p>The input repeats, so what differs from period to period is noise, of each line \
+         and of both signals. The model of the periods is the one of largest likelihood under this noise. It leaves \
+         {:.2} ± {:.2} times what noise explains: clearly more than 1 means that what repeats is not linear, or of a \
+         higher order; σ is then widened. First period off: how much the first period differs from the others, over \
+         what noise explains: clearly more than 1 means that it had not settled. All lines: lines.csv.</p>\n{}",
         found.left,
         found.left_sd,
         table(0, &heads, &rows)

@@ -47,7 +47,8 @@ pub(super) fn advice(done: &Teaching) -> Vec<String> {
     }
     for region in &done.regions {
         all.push(format!(
-            "Draw the region of view `{0}`: `--region {0}:{1},{2}-{3},{4}` leaves out {5} and keeps all that the tube can reach.",
+            "Draw the region of view `{0}`: `--region {0}:{1},{2}-{3},{4}` leaves out {5} and keeps all that the tube \
+             can reach.",
             view_name(region.view),
             region.from.x,
             region.from.y,

@@ -64,7 +64,8 @@ fn header(info: &TeachingInfo, done: &Teaching) -> String {
         Err(error) => format!("Not learned: {}.", Html::with_code(&error.to_string())),
     };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra calibration of markers</p>\n<h1>{}</h1>\n<p class=\"verdict\">{verdict}</p>\n</header>\n",
+        "<header>\n<p class=\"kind\">Catoptra calibration of markers</p>\n<h1>{}</h1>\n<p \
+         class=\"verdict\">{verdict}</p>\n</header>\n",
         escape(&info.rig)
     )
 }
@@ -127,7 +128,8 @@ fn whole_frame(done: &Teaching, shown: &Shown) -> String {
         let (size, from) = (region.to - region.from, region.from);
         let _ = writeln!(
             drawn,
-            "<rect x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" fill=\"none\" stroke=\"#7fd4ff\" stroke-dasharray=\"3 4\"/>",
+            "<rect x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" fill=\"none\" stroke=\"#7fd4ff\" stroke-dasharray=\"3 \
+             4\"/>",
             from.x, from.y, size.x, size.y
         );
     }
@@ -139,7 +141,8 @@ fn whole_frame(done: &Teaching, shown: &Shown) -> String {
         let dash = if blob.rejected.is_some() { " stroke-dasharray=\"4 3\"" } else { " stroke-width=\"2\"" };
         let _ = writeln!(
             drawn,
-            "<rect x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" fill=\"none\" stroke=\"{}\"{dash}><title>{}: {}</title></rect>",
+            "<rect x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" fill=\"none\" stroke=\"{}\"{dash}><title>{}: \
+             {}</title></rect>",
             colour(blob.marker),
             escape(name),
             escape(why)
@@ -149,10 +152,10 @@ fn whole_frame(done: &Teaching, shown: &Shown) -> String {
     drawn += &clicks(done, 7.0);
     format!(
         "<h2>The frame</h2>\n\
-         <p>Crosses are the picks, rectangles what was found there. Solid boxes are bands, dashed ones other things of a band’s \
-         colour (hover for the reason). White dashes are the views’ regions{}.</p>\n\
-         <svg class=\"picture\" viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"The frame of the picks\" font-size=\"18\">\n\
-         <image href=\"{picture}\" width=\"{width}\" height=\"{height}\"/>\n{drawn}</svg>\n",
+         <p>Crosses are the picks, rectangles what was found there. Solid boxes are bands, dashed ones other things of \
+         a band’s colour (hover for the reason). White dashes are the views’ regions{}.</p>\n\
+         <svg class=\"picture\" viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"The frame of the picks\" \
+         font-size=\"18\">\n<image href=\"{picture}\" width=\"{width}\" height=\"{height}\"/>\n{drawn}</svg>\n",
         if done.regions.is_empty() { "" } else { ", blue ones those proposed" }
     )
 }
@@ -183,7 +186,8 @@ fn clicks(done: &Teaching, arm: f64) -> String {
         let (x, y) = (coords.x, coords.y);
         let _ = writeln!(
             drawn,
-            "<path d=\"M{:.1} {y:.1}H{:.1}M{x:.1} {:.1}V{:.1}\" stroke=\"{}\" vector-effect=\"non-scaling-stroke\"><title>pick {}</title></path>",
+            "<path d=\"M{:.1} {y:.1}H{:.1}M{x:.1} {:.1}V{:.1}\" stroke=\"{}\" \
+             vector-effect=\"non-scaling-stroke\"><title>pick {}</title></path>",
             x - arm,
             x + arm,
             y - arm,
@@ -237,8 +241,9 @@ fn close_ups(done: &Teaching, shown: &Shown) -> String {
         return figures;
     }
     format!(
-        "<h2>The bands</h2>\n<p>Left as the camera shows it, with the pick and the rectangle that was found; right as the colour \
-         learned for this view scores it: green is taken for the band, grey is not.</p>\n<div class=\"closeups\">\n{figures}</div>\n"
+        "<h2>The bands</h2>\n<p>Left as the camera shows it, with the pick and the rectangle that was found; right as \
+         the colour learned for this view scores it: green is taken for the band, grey is not.</p>\n<div \
+         class=\"closeups\">\n{figures}</div>\n"
     )
 }
 
@@ -292,9 +297,9 @@ fn colours(done: &Teaching) -> String {
         return String::new();
     }
     let mut body = "<h2>How the colours differ</h2>\n\
-         <p>Each band’s colour model gives it a score of about 1, and less than the threshold of 0.5 to all else. Dots show where 99 % \
-         of the samples end, of the band (towards 0) and of the other colours (towards 1), in pictures that were not learned \
-         from.</p>\n"
+         <p>Each band’s colour model gives it a score of about 1, and less than the threshold of 0.5 to all else. Dots \
+         show where 99 % of the samples end, of the band (towards 0) and of the other colours (towards 1), in pictures \
+         that were not learned from.</p>\n"
         .to_owned();
     for (v, (view, info)) in done.views.iter().zip(&done.rig.views).enumerate() {
         let height = 70 + 24 * done.rig.markers.len() as u32 * 3;

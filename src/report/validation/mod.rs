@@ -65,8 +65,8 @@ pub(crate) fn page(validation: &Validation, settings: &Settings, model: Option<&
     body += &frames(validation);
     body += &facts(validation, settings);
     body += &format!(
-        "<footer>Catoptra {}. Errors are root mean squares of distances in space, base frame. Phase is negative for a response that \
-         is late. This file needs no network.</footer>\n",
+        "<footer>Catoptra {}. Errors are root mean squares of distances in space, base frame. Phase is negative for a \
+         response that is late. This file needs no network.</footer>\n",
         env!("CARGO_PKG_VERSION")
     );
     page::page(&format!("Validation along {}", validation.name()), &body)
@@ -125,8 +125,8 @@ fn header(validation: &Validation) -> String {
         None => String::new(),
     };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra validation</p>\n<h1>{}</h1>\n<p class=\"verdict\">{} along the path: {spread} from \
-         it after rigid alignment, up to {} without.{response}</p>\n</header>\n",
+        "<header>\n<p class=\"kind\">Catoptra validation</p>\n<h1>{}</h1>\n<p class=\"verdict\">{} along the path: \
+         {spread} from it after rigid alignment, up to {} without.{response}</p>\n</header>\n",
         escape(&validation.name()),
         plural(validation.runs.len(), "run"),
         mm(unaligned)
@@ -192,14 +192,14 @@ fn errors(validation: &Validation) -> String {
         n => format!("The first {n} of {of} periods are left out, while the motion settles."),
     };
     format!(
-        "<h2>Errors</h2>\n<p>Distance of the marker from the path. Aligned: the observed path may be moved and turned as a whole, but not \
-         scaled, until it fits best. Rotation and offset are those of this alignment. {left_out}</p>\n{}{}{}\
-         <h3>Error over the path, aligned</h3>\n{}",
+        "<h2>Errors</h2>\n<p>Distance of the marker from the path. Aligned: the observed path may be moved and turned \
+         as a whole, but not scaled, until it fits best. Rotation and offset are those of this alignment. \
+         {left_out}</p>\n{}{}{}<h3>Error over the path, aligned</h3>\n{}",
         table(1, &heads, &rows),
         figure("plot-rms", &figures::rms_over_pause(validation), 340, false),
         trouble(
-            "an aligned error that stays small while the other one and the rotation grow with speed: on a circle, a lag looks like a \
-             turn, and alignment takes it out. The phase below has it."
+            "an aligned error that stays small while the other one and the rotation grow with speed: on a circle, a \
+             lag looks like a turn, and alignment takes it out. The phase below has it."
         ),
         figure("plot-errors", &figures::errors(validation), 340, false)
     )
@@ -211,7 +211,11 @@ fn response(validation: &Validation, model: Option<&ModelLine>) -> String {
             "radius of the circle fitted to the observed points over {:.3} mm, that of the path (Eq. 8)",
             circle.radius_m * 1e3
         ),
-        None => "the path is no circle: root mean square distance of the observed points from their mean, over that of the path".to_owned(),
+        None => {
+            "the path is no circle: root mean square distance of the observed points from their mean, over that of \
+            the path"
+                .to_owned()
+        }
     };
     let rows: Vec<Vec<String>> = validation
         .runs
@@ -254,8 +258,9 @@ fn response(validation: &Validation, model: Option<&ModelLine>) -> String {
         "Off plane (mm)",
     ];
     format!(
-        "<h2>Response</h2>\n<p>Magnitude: {what}. Phase: from the lag at which the observed motion, not aligned, correlates best with \
-         the path; negative is late (Eqs. 9 and 10). Frequency is 1 over the period of {} points.{}</p>\n{}{}{}",
+        "<h2>Response</h2>\n<p>Magnitude: {what}. Phase: from the lag at which the observed motion, not aligned, \
+         correlates best with the path; negative is late (Eqs. 9 and 10). Frequency is 1 over the period of {} \
+         points.{}</p>\n{}{}{}",
         validation.path.points.len(),
         beside,
         figure("plot-magnitude", &figures::magnitude(validation, model), 300, true),
@@ -266,8 +271,8 @@ fn response(validation: &Validation, model: Option<&ModelLine>) -> String {
 
 fn paths(validation: &Validation) -> String {
     let mut text = format!(
-        "<h2>Paths</h2>\n<p>Black: the path. Choose runs by a click on their names.</p>\n<div class=\"pair\">\n<div><h3>As observed</h3>\n{}</div>\n\
-         <div><h3>Aligned</h3>\n{}</div>\n</div>\n",
+        "<h2>Paths</h2>\n<p>Black: the path. Choose runs by a click on their names.</p>\n<div \
+         class=\"pair\">\n<div><h3>As observed</h3>\n{}</div>\n<div><h3>Aligned</h3>\n{}</div>\n</div>\n",
         figure("plot-observed", &figures::space(validation, false), 480, false),
         figure("plot-aligned", &figures::space(validation, true), 480, false)
     );
@@ -335,9 +340,10 @@ fn frames(validation: &Validation) -> String {
     let notes: String = of_path.into_iter().chain(of_runs).collect();
     let notes = if notes.is_empty() { notes } else { format!("<ul class=\"note\">\n{notes}</ul>\n") };
     format!(
-        "<h2>Frames</h2>\n<p>Missed: frames without the marker's place; lost: by the camera. Scatter: distance of frames from the mean of \
-         their pause, noise and motion together; σ: the tracker's own. Points are the mean of the frames within a pause; \
-         where the pause is shorter than the time between frames, they are interpolated to its middle. A command without a frame is left out, nothing is made up.</p>\n{}{notes}",
+        "<h2>Frames</h2>\n<p>Missed: frames without the marker's place; lost: by the camera. Scatter: distance of \
+         frames from the mean of their pause, noise and motion together; σ: the tracker's own. Points are the mean of \
+         the frames within a pause; where the pause is shorter than the time between frames, they are interpolated to \
+         its middle. A command without a frame is left out, nothing is made up.</p>\n{}{notes}",
         table(4, &heads, &rows)
     )
 }

@@ -70,7 +70,8 @@ fn coefficients(rig: &Draft, view: &View, first_pixel: f64, name: &Path) -> Resu
             }
             Surface::Wall(wall) => {
                 let expected = format!(
-                    "mirrors only: DLT coefficients hold no refraction, and `{surface_name}` is a wall (indices {} | {} | {})",
+                    "mirrors only: DLT coefficients hold no refraction, and `{surface_name}` is a wall (indices {} | \
+                     {} | {})",
                     wall.index_outside, wall.index_wall, wall.index_inside
                 );
                 return wrong(format!("view.{}.path", view.name), format!("{:?}", view.path), expected);

@@ -1,6 +1,6 @@
 //! Kalibr's camchain: one camera, pinhole and radtan (k1, k2, p1, p2; there is no k3).
 
-use super::yaml::Node;
+use super::yaml::{Node, pixels};
 use super::{camera, list};
 use crate::rig::{Camera, RigError};
 use std::path::Path;
@@ -41,7 +41,6 @@ pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
     let &[width, height] = size.numbers()?.as_slice() else {
         return Err(size.wrong("two numbers [width, height]"));
     };
-    let pixels = |v: f64| (v.fract() == 0.0 && (1.0..=65_535.0).contains(&v)).then_some(v as u32);
     let Some(size_px) = pixels(width).zip(pixels(height)) else {
         return Err(size.wrong("two whole numbers from 1 to 65535"));
     };

@@ -129,9 +129,7 @@ impl<'a> Node<'a> {
 
     /// A count of pixels.
     pub(super) fn pixels(&self) -> Result<u32, RigError> {
-        // Some programs write `1280.`.
-        let whole = number(self.value).filter(|v| v.fract() == 0.0 && (1.0..=65_535.0).contains(v));
-        whole.map(|v| v as u32).ok_or_else(|| self.wrong("a whole number from 1 to 65535"))
+        number(self.value).and_then(pixels).ok_or_else(|| self.wrong("a whole number from 1 to 65535"))
     }
 
     /// `[a, b, …]`, or a matrix with `rows`, `cols` and row-major `data`.
@@ -153,6 +151,11 @@ impl<'a> Node<'a> {
             .map(|item| finite(item).ok_or_else(|| self.wrong(format!("numbers, {} is none", show(item)))))
             .collect()
     }
+}
+
+/// A count of pixels; some programs write `1280.`.
+pub(super) fn pixels(value: f64) -> Option<u32> {
+    (value.fract() == 0.0 && (1.0..=65_535.0).contains(&value)).then_some(value as u32)
 }
 
 fn number(value: &Yaml) -> Option<f64> {

@@ -25,7 +25,7 @@ use super::picture::Renderer;
 use super::scene::Scene;
 use super::taught::taught;
 use super::video::{as_taken, as_video};
-use crate::calibrate::rig::share::{Pose, share};
+use crate::calibrate::rig::share::{CatheterPose, share};
 use crate::catheter::{CatheterError, Load, Shape, equilibrium};
 use crate::estimate::Estimate;
 use crate::rig::{Draft, Rig};
@@ -210,7 +210,7 @@ fn planned(
     let (coil, tangent) = line.at(coil_m);
     let tangent = tangent.normalize();
     let end = line.at(mount.centres_m.last().copied().unwrap_or(mount.length_m)).0;
-    let pose = Pose { coil, tangent, tip: end };
+    let pose = CatheterPose { coil, tangent, tip: end };
     let calibration = share(draft, &[pose]).ok().map(|share| (share.theta_rad.0, share.tip_m.0));
     let base = rig.base.as_ref().map(|base| base.base_from_camera).ok_or(SceneError::NoBase)?;
     let t = base * tangent;

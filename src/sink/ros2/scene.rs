@@ -41,8 +41,8 @@ impl Scene {
         }
     }
 
-    /// Tube, bands and direction of the coil, in the base frame if `based`. The tube is number 0, the bands come next in
-    /// the rig's order, the arrow is last.
+    /// Tube, bands and direction of the coil, in the base frame if `based`. The tube is number 0, the bands come next
+    /// in the rig's order, the arrow is last.
     pub(super) fn markers(&self, estimate: &Estimate, header: &Header, based: bool) -> MarkerArray {
         let place = |position: &crate::log::schema::messages::Position| match (based, &position.in_base_m) {
             (true, Some(p)) => Some(Xyz { x: p.x, y: p.y, z: p.z }),

@@ -371,7 +371,8 @@ mod tests {
                 }
             }
             println!(
-                "quality {quality}: {noticed} of {changed} changed bits are noticed; of the others {large} change more than four blocks"
+                "quality {quality}: {noticed} of {changed} changed bits are noticed; of the others {large} change more \
+                 than four blocks"
             );
             assert!(noticed * 100 > changed * percent && large * 20 < changed, "{noticed} and {large} of {changed}");
         }

@@ -94,16 +94,17 @@ impl Session {
         let known = listed();
         let wanted = known.iter().find(|names| names.iter().any(|known| known == id)).and_then(|names| names.first());
         let wanted = wanted.map_or(id, String::as_str);
-        let camera = aravis::Camera::new((!wanted.is_empty()).then_some(wanted)).map_err(|e| match known.as_slice() {
-            [] => format!(
-                "no GenICam camera answers ({e}). GigE: is it in the same network, and does the firewall let it through? USB3: \
-                 may this user access it (Aravis' udev rules)?"
-            ),
-            some => {
-                let names: Vec<&str> = some.iter().filter_map(|names| names.first()).map(String::as_str).collect();
-                format!("no such GenICam camera ({e}); there are: {}", names.join(", "))
-            }
-        })?;
+        let camera =
+            aravis::Camera::new((!wanted.is_empty()).then_some(wanted)).map_err(|e| match known.as_slice() {
+                [] => format!(
+                    "no GenICam camera answers ({e}). GigE: is it in the same network, and does the firewall let it \
+                 through? USB3: may this user access it (Aravis' udev rules)?"
+                ),
+                some => {
+                    let names: Vec<&str> = some.iter().filter_map(|names| names.first()).map(String::as_str).collect();
+                    format!("no such GenICam camera ({e}); there are: {}", names.join(", "))
+                }
+            })?;
         let said = |what: &str| {
             let what = what.to_owned();
             move |e: aravis::glib::Error| format!("{what}: {e}")

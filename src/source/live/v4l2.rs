@@ -72,8 +72,8 @@ impl Session {
         let needed = capability::Flags::VIDEO_CAPTURE | capability::Flags::STREAMING;
         if !caps.capabilities.contains(needed) {
             return Err(format!(
-                "{} gives no pictures here (it can {}); a camera often has a second device beside, such as /dev/video0 beside \
-                 /dev/video1",
+                "{} gives no pictures here (it can {}); a camera often has a second device beside, such as /dev/video0 \
+                 beside /dev/video1",
                 caps.card, caps.capabilities
             ));
         }

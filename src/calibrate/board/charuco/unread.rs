@@ -39,8 +39,8 @@ pub enum CharucoNotFound {
     },
     /// The layout of other OpenCV versions.
     #[error(
-        "; its markers are laid out in OpenCV's {} pattern (with an even number of rows the square at the upper left is {}): \
-         {}", if *.legacy { "legacy" } else { "newer" }, if *.legacy { "light" } else { "dark" },
+        "; its markers are laid out in OpenCV's {} pattern (with an even number of rows the square at the upper left \
+         is {}): {}", if *.legacy { "legacy" } else { "newer" }, if *.legacy { "light" } else { "dark" },
         if *.legacy { "add `:legacy` to the board" } else { "leave out `:legacy`" }
     )]
     Layout {
@@ -89,8 +89,8 @@ pub enum CharucoNotFound {
     },
     /// Too little of the board is visible.
     #[error(
-        "; {corners} of its corners are seen beside {markers} markers, at least {MIN_CORNERS} that are not in a line are \
-        needed, and two whole squares side by side"
+        "; {corners} of its corners are seen beside {markers} markers, at least {MIN_CORNERS} that are not in a line \
+        are needed, and two whole squares side by side"
     )]
     FewCorners {
         /// Corners.

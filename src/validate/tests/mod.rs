@@ -1,3 +1,6 @@
+mod paths;
+mod timing;
+
 use super::start_time::StartFrom;
 use super::*;
 use crate::series::{Current, Frame, Place, Recording};
@@ -6,7 +9,6 @@ use crate::testing::random::Random;
 use nalgebra::{Point3, Rotation3, Vector3};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
-use std::path::Path;
 
 /// The paper's pause times, ms.
 const PAUSES_MS: [f64; 12] = [1.0, 3.0, 5.0, 8.0, 10.0, 12.0, 15.0, 18.0, 20.0, 25.0, 50.0, 100.0];
@@ -262,7 +264,8 @@ fn alignment_absorbs_a_pure_lag_on_a_circle_and_the_rest_of_the_result_shows_it(
     let (angle, axis) = run.alignment.angle_axis();
     assert!((angle.to_degrees() - 45.0).abs() < 1e-4, "{}°", angle.to_degrees());
     assert!((axis.unwrap().dot(&run.plane.unwrap().normal).abs() - 1.0).abs() < 1e-6);
-    // This one jumps from point to point; the phase counts as for one that moves on within a pause, here up to 0.15° apart.
+    // This one jumps from point to point; the phase counts as for one that moves on within a pause, here up to 0.15°
+    // apart.
     assert!((run.phase_deg.unwrap() + 45.0).abs() < 0.15 && run.magnitude.unwrap().db.abs() < 1e-4);
     for gain in run.gain {
         assert!(gain.is_none_or(|gain| (gain - 1.0).abs() < 1e-3));
@@ -390,7 +393,8 @@ fn what_cannot_be_used_is_told_with_its_numbers() {
     let other = message(|_| {}, Some(START_NS + 100_000_000_000));
     assert_eq!(
         other,
-        "20ms.csv: no frame is from the time of the commands: these are from 102.346 s to 118.346 s, the frames from 2.350 s to 18.333 s of the camera's clock; check --start"
+        "20ms.csv: no frame is from the time of the commands: these are from 102.346 s to 118.346 s, the frames from \
+         2.350 s to 18.333 s of the camera's clock; check --start"
     );
     let short = message(|r| r.frames.truncate(500), None);
     assert!(short.contains("they take 16.000 s, the record has 8.317 s of motion; give --start"), "{short}");
@@ -425,63 +429,6 @@ fn directions_of_the_coil_are_compared_where_the_path_has_them() {
     assert!((of(path).unwrap() - tilt).abs() < 1e-9);
 }
 
-fn read(text: &str, per_period: Option<usize>, periods: Option<usize>) -> Result<DesiredPath, String> {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("path.csv");
-    std::fs::write(&file, text).unwrap();
-    DesiredPath::read(&file, per_period, periods)
-        .map_err(|e| e.to_string().replace(&file.display().to_string(), "path.csv"))
-}
-
-#[test]
-fn paths_are_read_with_their_periods_and_directions() {
-    let square = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\n0,0,5,0,0,2\n10,0,5,0,0,1\n10,10,5,0,0,1\n0,10,5,0,0,1\n";
-    let path = read(square, None, None).unwrap();
-    assert_eq!((path.points.len(), path.periods, path.commands()), (4, 4, 16));
-    assert_eq!(path.tangents.unwrap()[0], Vector3::z());
-    assert_eq!(path.points[2], Point3::new(0.01, 0.01, 0.005));
-    let twice = format!("{square}0,0,5,0,0,1\n10,0,5,0,0,1\n10,10,5,0,0,1\n0,10,5,0,0,1\n");
-    let path = read(&twice, Some(4), None).unwrap();
-    assert_eq!((path.points.len(), path.periods), (4, 2));
-    assert_eq!(
-        read(&twice, Some(3), None).unwrap_err(),
-        "path.csv: has 8 rows, which is no multiple of 3 points per period"
-    );
-    assert!(
-        read(&twice, Some(2), None)
-            .unwrap_err()
-            .contains("point 3 is not where point 1 is: the period is not 2 points")
-            || read(&twice, Some(2), None).unwrap_err().contains("has 2 points per period")
-    );
-    assert!(
-        read(&twice, Some(4), Some(3))
-            .unwrap_err()
-            .contains("holds 2 periods of 4 points, and 3 periods are asked for")
-    );
-    assert!(read(square, None, Some(usize::MAX)).unwrap_err().contains("are more than 4000000 commands"));
-    assert!(read(square, None, Some(0)).unwrap_err().contains("commanded 0 times"));
-}
-
-#[test]
-fn paths_that_are_none_are_refused() {
-    assert_eq!(
-        read("x_mm,y_mm,z_mm\n0,0,0\n1,0,0\n", None, None).unwrap_err(),
-        "path.csv: has 2 points per period; a path needs 3 or more"
-    );
-    let line = read("x_mm,y_mm,z_mm\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n", None, None).unwrap_err();
-    assert_eq!(line, "path.csv: its points lie on a line or are all the same: a turn about it would be open");
-    assert_eq!(
-        read("x_mm,y_mm\n0,0\n", None, None).unwrap_err(),
-        "path.csv: has no column `z_mm`; did you mean `x_mm`?"
-    );
-    assert!(
-        read("x_mm,y_mm,z_mm\n0,0,\n", None, None)
-            .unwrap_err()
-            .contains("point 1: a value of x_mm, y_mm, z_mm is missing")
-    );
-    assert!(DesiredPath::read(Path::new("none.csv"), None, None).unwrap_err().to_string().starts_with("none.csv: "));
-}
-
 #[test]
 fn results_as_files_have_an_entry_a_run() {
     let validation = evaluated(circle, CORNER_HZ, CLEAN, Options::default());
@@ -500,169 +447,4 @@ fn results_as_files_have_an_entry_a_run() {
     let points = validation.runs[3].points_csv();
     assert_eq!(points.lines().count(), 601);
     assert!(points.lines().nth(1).unwrap().starts_with("200,1.600000000,"), "{points}");
-}
-
-#[test]
-fn a_motion_that_is_not_yet_periodic_is_flagged() {
-    let from_rest = Spoiled { run_in: 0, ..CLEAN };
-    let flagged = |runs: &[Run]| -> Vec<bool> {
-        runs.iter().map(|run| run.notes.iter().any(|note| note.contains("has not become periodic"))).collect()
-    };
-    let slow = evaluated(circle, 0.15, from_rest, Options::default()).runs;
-    let fastest = &slow[0];
-    let (last_db, all_db) = (fastest.settling.unwrap().last_db.unwrap(), fastest.magnitude.unwrap().db);
-    assert!(flagged(&slow)[0] && last_db < all_db - 1.0, "{last_db} {all_db}");
-    // At the longest pause four periods are 80 s.
-    assert!(!flagged(&slow)[11]);
-    let steady = evaluated(circle, CORNER_HZ, CLEAN, Options::default()).runs;
-    assert!(!flagged(&steady).contains(&true));
-}
-
-/// The notes of a run that is evaluated from the given start.
-fn noted(recording: &Recording, path: DesiredPath, pause_s: f64) -> (Row, String) {
-    let observed = [Observed { recording, pause_s, start_ns: Some(START_NS) }];
-    let run = validate(path, &observed, Options::default()).unwrap().runs.remove(0);
-    (Row::of(&run), run.notes.join("\n"))
-}
-
-const NOISY: Spoiled = Spoiled { noise_m: 5e-5, missing: 0.0, seed: 3, run_in: 20 };
-
-#[test]
-fn periods_that_are_alike_are_not_doubted() {
-    for seed in 1..=5 {
-        let spoiled = Spoiled { missing: 0.05, seed, ..NOISY };
-        for of in [circle, eight] {
-            for run in evaluated(of, CORNER_HZ, spoiled, Options::default()).runs {
-                let row = Row::of(&run);
-                assert!(run.notes.is_empty(), "{} ms: {:?}", row.pause_ms, run.notes);
-                // Besides noise, interpolation where frames are missing: at 1 ms each of them is a tenth of a period.
-                let (drift, sd) = (row.phase_drift_deg.unwrap(), row.phase_drift_sd_deg.unwrap());
-                assert!(drift.abs() < 4.5 * sd + 0.1, "{} ms: {drift}° ± {sd}°", row.pause_ms);
-            }
-        }
-    }
-}
-
-#[test]
-fn a_timing_that_drifts_is_told_with_the_pause_that_explains_it() {
-    let held_ms =
-        |notes: &str| -> f64 { notes.split("held for ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap() };
-    // The amplifier holds commands 0.3 % longer; two counted periods after the first are 1.08° later each.
-    let slow = simulate(circle, 0.01 * 1.003, CORNER_HZ, NOISY);
-    let (row, notes) = noted(&slow, desired(circle), 0.01);
-    assert!((row.phase_drift_deg.unwrap() + 1.08).abs() < 0.1, "{:?}", row.phase_drift_deg);
-    assert!(notes.contains("from period 2 to 4 it changes by -1."), "{notes}");
-    assert!((held_ms(&notes) - 10.03).abs() < 0.002, "{notes}");
-    // The camera's clock is 1 % fast.
-    let mut fast = simulate(circle, 0.01, CORNER_HZ, NOISY);
-    for frame in &mut fast.frames {
-        frame.stamp_ns = START_NS + (frame.stamp_ns - START_NS) / 100 * 101;
-    }
-    let (row, notes) = noted(&fast, desired(circle), 0.01);
-    assert!((row.phase_drift_deg.unwrap() + 3.6).abs() < 0.1, "{:?}", row.phase_drift_deg);
-    assert!((held_ms(&notes) - 10.1).abs() < 0.002, "{notes}");
-    // It jumps by 0.5 s, a quarter of a period, between periods 2 and 3: the last two agree.
-    let mut jump = simulate(circle, 0.01, CORNER_HZ, NOISY);
-    jump.frames.iter_mut().filter(|f| f.stamp_ns > START_NS + 4_000_000_000).for_each(|f| f.stamp_ns += 500_000_000);
-    let (row, notes) = noted(&jump, desired(circle), 0.01);
-    // For a quarter of period 3 there is no frame, and the mean period is there that of the two others.
-    assert!((row.phase_step_deg.unwrap() + 90.0).abs() < 4.0, "{:?}", row.phase_step_deg);
-    assert!(notes.contains("(from period 2 to 3)"), "{notes}");
-}
-
-#[test]
-fn a_middle_that_moves_is_told() {
-    let mut moved = simulate(circle, 0.01, CORNER_HZ, NOISY);
-    for frame in moved.frames.iter_mut().filter(|frame| frame.stamp_ns > START_NS + 4_000_000_000) {
-        for point in frame.places.iter_mut().filter_map(|place| place.point.as_mut()) {
-            point.y += 0.005;
-        }
-    }
-    let (row, notes) = noted(&moved, desired(circle), 0.01);
-    assert!((row.shift_mm.unwrap() - 5.0).abs() < 0.1, "{:?}", row.shift_mm);
-    assert!(
-        notes.contains("mm away in period 3 from where it is in period 2") || notes.contains("in period 4"),
-        "{notes}"
-    );
-    assert!(row.phase_drift_deg.unwrap().abs() < 0.2 && !notes.contains("phase"), "{notes}");
-}
-
-#[test]
-fn periods_that_are_not_in_the_record_are_refused_and_still_ones_told() {
-    let recording = simulate(circle, 0.01, CORNER_HZ, NOISY);
-    let with = |periods| DesiredPath { periods, ..desired(circle) };
-    let observed = |recording| [Observed { recording, pause_s: 0.01, start_ns: Some(START_NS) }];
-    let error = validate(with(8), &observed(&recording), Options::default()).unwrap_err().to_string();
-    assert_eq!(
-        error,
-        "10ms.csv: the record ends at 10.333 s of the camera's clock, 8 periods of commands at 18.346 s: 4 of them are \
-         in it; give --periods 4, or check --pause and --start"
-    );
-    assert!(validate(with(5), &observed(&recording), Options::default()).is_err());
-    assert!(noted(&recording, with(4), 0.01).1.is_empty());
-    // The record goes on at rest.
-    let mut rests = recording.clone();
-    let last = rests.frames.last().unwrap().clone();
-    rests.frames.extend((1..=240).map(|k| Frame { stamp_ns: last.stamp_ns + k * 16_666_667, ..last.clone() }));
-    let (_, notes) = noted(&rests, with(6), 0.01);
-    assert!(notes.contains("hardly moves in period 5, 6: check --periods"), "{notes}");
-    // The marker is hidden for most of it.
-    let mut hidden = recording.clone();
-    hidden.frames.iter_mut().filter(|f| f.stamp_ns > START_NS + 5_000_000_000).for_each(|f| f.places[0].point = None);
-    let (_, notes) = noted(&hidden, with(4), 0.01);
-    assert!(notes.contains("of 600 commands have no point"), "{notes}");
-}
-
-#[test]
-fn a_start_that_cannot_be_found_is_refused() {
-    let with_rest = |of: fn(usize) -> Point3<f64>| {
-        let mut recording = simulate(of, 0.01, CORNER_HZ, NOISY);
-        let last = recording.frames.last().unwrap().clone();
-        recording.frames.extend((1..=120).map(|k| Frame { stamp_ns: last.stamp_ns + k * 16_666_667, ..last.clone() }));
-        recording
-    };
-    let search = |recording: &Recording, of: fn(usize) -> Point3<f64>| {
-        let observed = [Observed { recording, pause_s: 0.01, start_ns: None }];
-        validate(desired(of), &observed, Options::default())
-            .map(|validation| Row::of(&validation.runs[0]).correlation.unwrap())
-            .map_err(|error| error.to_string())
-    };
-    let swapped: fn(usize) -> Point3<f64> = |k| circle(k).coords.yxz().into();
-    assert!(search(&with_rest(circle), circle).unwrap() > 0.99);
-    assert!(search(&with_rest(eight), eight).unwrap() > 0.9);
-    assert!(search(&with_rest(swapped), swapped).unwrap() > 0.99);
-    let mut still = with_rest(circle);
-    let mut random = Random::new(5);
-    for frame in &mut still.frames {
-        frame.places[0].point = Some(circle(0) + Vector3::from_fn(|_, _| random.normal()) * 5e-5);
-    }
-    for (recording, path) in
-        [(still, circle as fn(usize) -> _), (with_rest(circle), swapped), (with_rest(circle), eight)]
-    {
-        let error = search(&recording, path).unwrap_err();
-        assert!(
-            error.starts_with("10ms.csv: the start of the commands cannot be found: the motion correlates"),
-            "{error}"
-        );
-        assert!(error.contains("0.7 is needed"), "{error}");
-    }
-}
-
-#[test]
-fn a_path_in_another_unit_is_told() {
-    let recording = simulate(circle, 0.01, CORNER_HZ, NOISY);
-    let (_, notes) = noted(&recording, desired(|k| circle(k) * 1e-3), 0.01);
-    assert!(notes.contains("which is hardly the same unit: both must be in mm"), "{notes}");
-}
-
-#[test]
-fn a_path_that_ends_where_it_begins_is_told() {
-    let closed = |rows: usize| {
-        let of = |k: usize| circle(k).coords * 1e3;
-        let lines = (0..rows).map(|k| format!("{},{},{}\n", of(k).x, of(k).y, of(k).z));
-        read(&("x_mm,y_mm,z_mm\n".to_owned() + &lines.collect::<String>()), None, None).unwrap().note()
-    };
-    assert_eq!(closed(200), None);
-    let note = closed(201).unwrap();
-    assert!(note.contains("a period is 201 commands; if it was 200, leave the last row out"), "{note}");
 }
