@@ -9,8 +9,15 @@ use std::time::{Duration, Instant};
 const PERIOD: Duration = Duration::from_millis(100);
 const AWAY: Duration = Duration::from_secs(3);
 
+/// Whether a sender that is late sends what it has missed at once, or never.
+#[derive(PartialEq)]
+enum Missed {
+    Sent,
+    Lost,
+}
+
 /// Camera frames that a run counts as lost. `between` comes after the 20th of 50 pictures, which nobody waits for.
-fn lost(between: impl FnOnce(&Child) + Send + 'static) -> u64 {
+fn lost(missed: Missed, between: impl FnOnce(&Child) + Send + 'static) -> u64 {
     let place = Place::new();
     let [width, height] = rig().camera.size_px;
     let mut live = Command::new(env!("CARGO_BIN_EXE_catoptra"))
@@ -32,13 +39,17 @@ fn lost(between: impl FnOnce(&Child) + Send + 'static) -> u64 {
         std::thread::sleep(Duration::from_millis(20));
     }
     let mut between = Some(between);
-    let began = Instant::now();
+    let mut began = Instant::now();
     for k in 1..50 {
         std::thread::sleep((PERIOD * k).saturating_sub(began.elapsed()));
         if k == 20
             && let Some(between) = between.take()
         {
+            let stopped = Instant::now();
             between(&live);
+            if missed == Missed::Lost {
+                began += stopped.elapsed();
+            }
         }
         pipe.write_all(&picture).unwrap();
     }
@@ -54,7 +65,7 @@ fn lost(between: impl FnOnce(&Child) + Send + 'static) -> u64 {
 /// The pictures wait on the pipe: the sender lost none.
 #[test]
 fn a_process_that_was_stopped_and_continued_claims_no_lost_frames() {
-    let stopped = lost(|live| {
+    let stopped = lost(Missed::Sent, |live| {
         let pid = Pid::from_child(live);
         kill_process(pid, Signal::STOP).unwrap();
         std::thread::spawn(move || {
@@ -68,8 +79,14 @@ fn a_process_that_was_stopped_and_continued_claims_no_lost_frames() {
 /// The same from outside, and yet another thing.
 #[test]
 fn a_sender_that_was_away_has_lost_frames() {
-    let away = lost(|_| std::thread::sleep(AWAY));
+    let away = lost(Missed::Lost, |_| std::thread::sleep(AWAY));
     assert!((20..=35).contains(&away), "{away} frames of 30");
+}
+
+#[test]
+fn a_sender_that_catches_up_has_lost_none() {
+    let held_up = lost(Missed::Sent, |_| std::thread::sleep(AWAY / 3));
+    assert_eq!(held_up, 0);
 }
 
 #[test]

@@ -63,7 +63,7 @@ fn frames_that_cannot_be_rendered_in_time_are_lost_and_counted() {
     let folder = tempfile::tempdir().unwrap();
     good(&catoptra(
         folder.path(),
-        &["live", "sim:rest", "--duration", "3", "--fps", "2000", "--exposure", "0.1", "-o", "live"],
+        &["live", "sim:rest", "--duration", "6", "--fps", "2000", "--exposure", "0.1", "-o", "live"],
     ));
     let run = Recording::read(&folder.path().join("live/track.csv")).unwrap();
     let lost = all_accounted_for(&run, 5e5);

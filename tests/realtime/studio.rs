@@ -94,7 +94,7 @@ fn recording_is_begun_and_ended_by_the_page_each_stretch_whole_and_none_over_ano
     looped(&sample("planar.mkv"), 4, &long);
     let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
     command.current_dir(place.folder.path()).arg("live").arg(&long).args(["--realtime", "--rig"]);
-    command.arg(&place.rig).args(["-o", "out", "--studio", "--duration", "12"]);
+    command.arg(&place.rig).args(["-o", "out", "--studio", "--duration", "16"]);
     let studio = Studio::of_live(command);
     let turn = |on: bool, how: &str| studio.json("watch/record", &json!({ "on": on, "how": how }));
     let state = || studio.json("watch", &json!({ "after": null, "currents_after": null }))["status"].clone();
@@ -114,16 +114,25 @@ fn recording_is_begun_and_ended_by_the_page_each_stretch_whole_and_none_over_ano
     let refused = studio.ask("watch/record", &body);
     assert!(refused.status == 400 && String::from_utf8_lossy(&refused.body).contains("windows, ffv1, h264"));
     assert_eq!(state()["recording"]["on"], false);
-    let mut so_far = 0;
+    // The state is renewed every second; pictures that wait for the encoder are counted later.
+    let settled = || {
+        let mut before = state();
+        loop {
+            std::thread::sleep(Duration::from_millis(1200));
+            let now = state();
+            if now["pictures"] == before["pictures"] {
+                return now;
+            }
+            before = now;
+        }
+    };
+    let mut end = state();
     for how in ["ffv1", "windows", "ffv1"] {
         assert_eq!(turn(true, how)["on"], true);
-        so_far = recorded(so_far + 20)["pictures"][0].as_u64().unwrap();
+        recorded(end["pictures"][0].as_u64().unwrap_or(0) + 20);
         assert_eq!(turn(false, how)["on"], false);
-        std::thread::sleep(Duration::from_millis(400));
+        end = settled();
     }
-    // The state is renewed every second; pictures that wait for the encoder are counted later.
-    std::thread::sleep(Duration::from_millis(1500));
-    let end = state();
     let so_far = end["pictures"][0].as_u64().unwrap();
     println!("{end}");
     assert_eq!(end["recording"]["places"], json!(["pictures.mkv", "log.mcap", "pictures-2.mkv"]));

@@ -11,6 +11,7 @@ mod absent;
     allow(dead_code, reason = "this build has no camera that needs it")
 )]
 mod camera;
+mod catching_up;
 #[cfg(feature = "genicam")]
 mod genicam;
 #[cfg(feature = "gstreamer")]

@@ -1,12 +1,14 @@
 //! Raw pictures on a pipe, one after another without headers: `1280x1024:bayer_rg8@60`.
 //!
 //! Such a pipe has no clock: frames are stamped on arrival ([`Clock::HostArrival`]), with all delays of the way, and
-//! lost frames show only as long steps. A camera program that knows the times should write a container instead (`-`).
+//! lost frames show only as long steps that no later frames make up for. A camera program that knows the times should
+//! write a container instead (`-`).
 
 use super::super::decoded::PictureMaker;
 use super::super::host::HostClock;
 use super::super::stamps::StampWatch;
 use super::super::{Clock, Frame, FrameRate, FrameSource, HostTime, SourceError, StreamFaults, Timestamp};
+use super::catching_up::CatchingUp;
 use super::samples;
 use super::stalls::Stalls;
 use ffmpeg_the_third::codec::Id;
@@ -54,6 +56,7 @@ pub struct RawPictures {
     pictures: PictureMaker,
     clock: HostClock,
     stamps: StampWatch,
+    catching_up: CatchingUp,
     stalls: Stalls,
     /// Stalls up to the last frame, nanoseconds.
     stalled_ns: u64,
@@ -66,7 +69,8 @@ pub struct RawPictures {
 impl RawPictures {
     /// Reads from `pipe`; `name` is for messages.
     pub fn new(name: &str, pipe: Box<dyn Read + Send>, format: RawFormat, clock: HostClock) -> Self {
-        let stamps = StampWatch::new(name.to_owned(), format.rate.stamp_ns(1).map(|ns| ns as f64), 0.0);
+        let period_ns = format.rate.stamp_ns(1).map(|ns| ns as f64);
+        let stamps = StampWatch::new(name.to_owned(), period_ns, 0.0);
         let pictures = PictureMaker::new(name.into(), Id::RAWVIDEO);
         Self {
             name: name.to_owned(),
@@ -75,6 +79,7 @@ impl RawPictures {
             pictures,
             clock,
             stamps,
+            catching_up: CatchingUp::new(period_ns.unwrap_or(0.0)),
             stalls: Stalls::watch(),
             stalled_ns: 0,
             since_stall: u32::MAX,
@@ -132,12 +137,12 @@ impl FrameSource for RawPictures {
             return Ok(None);
         }
         let ns = self.clock.now_ns();
-        let gap = self.stamps.gap(ns, self.seq, &mut self.faults);
+        let missing = self.stamps.gap(ns, self.seq, &mut self.faults);
         // While this program was stalled, frames queued on the pipe.
         let stalled_ns = self.stalls.total_ns();
         self.since_stall = if stalled_ns > self.stalled_ns { 0 } else { self.since_stall.saturating_add(1) };
         self.stalled_ns = stalled_ns;
-        let gap = if self.since_stall < SETTLING { 0 } else { gap };
+        let gap = self.catching_up.lost(ns, if self.since_stall < SETTLING { 0 } else { missing });
         let picture = self.pictures.picture(frame)?;
         let stamp = Timestamp { ns, clock: Clock::HostArrival };
         let host = Some(HostTime { arrival_ns: ns, stamp_ns: ns });
