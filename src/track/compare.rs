@@ -5,6 +5,7 @@
 
 use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
 use crate::track::fields::RowShift;
+use crate::track::fringes::Pair;
 use crate::track::grain::Differences;
 use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
 use crate::track::padded::{PADDED, Padded, products, unpadded_square};
@@ -12,7 +13,7 @@ use crate::track::patch::{Layer, Patch};
 use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy};
 use multiversion::multiversion;
-use nalgebra::SMatrix;
+use nalgebra::{Matrix2, SMatrix, Vector2};
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
@@ -28,6 +29,7 @@ pub(crate) struct Scattered {
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub slips: Slips,
     pub rows: RowShift,
+    pub colours: Pair,
     /// Variance of a coder's errors over that of the noise the samples are weighed by: mean, weighted by each sample's
     /// information about the band's position.
     pub coded: f64,
@@ -166,6 +168,7 @@ struct Scores {
     cells: Vec<Row>,
     slips: Slips,
     rows: RowShift,
+    colours: Pair,
     /// Information about the band's position, and by cell and channel the same times the weights.
     said: f64,
     coded: Vec<[f32; 3]>,
@@ -175,8 +178,8 @@ impl Scores {
     fn new(patch: &Patch, scene: &Scene<'_>) -> Self {
         let cells = patch.cells.len();
         let slips = Slips::new(scene.layout, patch.spans.len());
-        let rows = RowShift::default();
-        Self { cells: vec![[0.0; ROW]; cells], slips, rows, said: 0.0, coded: vec![[0.0; 3]; cells] }
+        let (rows, colours) = (RowShift::default(), Pair::default());
+        Self { cells: vec![[0.0; ROW]; cells], slips, rows, colours, said: 0.0, coded: vec![[0.0; 3]; cells] }
     }
 
     fn add(&mut self, part: &Part<'_>) {
@@ -185,6 +188,11 @@ impl Scores {
             add_to_slips(&mut self.slips, part);
         } else {
             add_to_rows(&mut self.rows, part);
+        }
+        if let Some(k) = part.colour {
+            let (information, pull) = shift_of(part);
+            let [aa, al, ll] = information.map(f64::from);
+            self.colours[k].add_along(part.axes, Matrix2::new(aa, al, al, ll), Vector2::from(pull.map(f64::from)));
         }
     }
 }
@@ -199,6 +207,10 @@ struct Part<'a> {
     /// The stored channel, and whether it is stored apart from the pixels.
     channel: u8,
     apart: bool,
+    /// Which of the two channels furthest from each other it is, if it is one.
+    colour: Option<usize>,
+    /// Unit vectors across the tube and along it.
+    axes: [Vector2<f64>; 2],
     cells: &'a [u32],
     /// Rows of the picture, from that of the patch's centre.
     y: &'a [f32],
@@ -310,7 +322,7 @@ impl Comparison {
     /// Forms the derivatives of all samples, of the model as it was rendered.
     fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
         let Self { patch, memory: Memory { bunches, channels, sums, rows, .. }, .. } = self;
-        let Patch { middle, spans, .. } = &*patch;
+        let Patch { middle, spans, colour_channels, .. } = &*patch;
         let light = scene.light();
         let mut channels = &channels[..];
         for (layer, bunches) in patch.layers().zip(bunches) {
@@ -319,17 +331,32 @@ impl Comparison {
             let (apart, cells, y) = (!layer.is_whole(), &layer.cells, &layer.y);
             let middle_y = middle.y as f32;
             for bunches in bunches.by_span() {
-                let piece = scene.piece(&spans[bunches[0].span], middle, &layer.spread_px2);
+                let place = &spans[bunches[0].span];
+                let (piece, axes) =
+                    (scene.piece(place, middle, &layer.spread_px2), scene.image.knots[place.knot].axes());
                 for Bunch { span, points, chunk } in bunches {
                     for (channel, compared) in layer.channels.iter().zip(own) {
                         let rows = rows.of(chunk, &piece, &light, &channel.weights);
                         let (points, seen) = (points.clone(), chunk.seen);
                         let (span, ring) = (*span, spans[*span].ring);
                         let channel = channel.number;
-                        take(
-                            sums,
-                            &Part { span, ring, points, seen, channel, apart, cells, y, middle_y, compared, rows },
-                        );
+                        let colour = colour_channels.iter().position(|colour| *colour == channel);
+                        let place = Part {
+                            span,
+                            ring,
+                            points,
+                            seen,
+                            channel,
+                            apart,
+                            colour,
+                            axes,
+                            cells,
+                            y,
+                            middle_y,
+                            compared,
+                            rows,
+                        };
+                        take(sums, &place);
                     }
                 }
             }
@@ -378,7 +405,7 @@ impl Comparison {
             self.derive(scene, |_, part| scores.add(part));
             scores
         });
-        let Scores { cells, mut slips, rows, said, coded } = scores;
+        let Scores { cells, mut slips, rows, colours, said, coded } = scores;
         let Patch { spans, cells: places, squares: pixels, .. } = &self.patch;
         let Scene { image, layout, .. } = *scene;
         let mut squares = vec![[0.0; PADDED]; pixels.len()];
@@ -398,7 +425,7 @@ impl Comparison {
         };
         let coded: f64 = places.iter().zip(&coded).map(of_cell).sum();
         let coded = if said > 0.0 { coded / said } else { 0.0 };
-        Scattered { covariance, slips, rows, coded }
+        Scattered { covariance, slips, rows, colours, coded }
     }
 
     /// Differences between the residuals of neighbouring pixels in a row of the background, in the first channel.
@@ -452,6 +479,22 @@ fn add_to_rows(rows: &mut RowShift, part: &Part<'_>) {
         information += weighed * across;
     }
     rows.add(pull, information);
+}
+
+/// How far samples lie from the model, across the tube and along it: Σ w t tᵀ (three elements) and Σ w r t.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn shift_of(part: &Part<'_>) -> ([f32; 3], [f32; 2]) {
+    let (mut information, mut pull) = ([0.0; 3], [0.0; 2]);
+    for (row, residual, weight, _) in part.samples() {
+        let [across, along] = shifted(row, part.seen);
+        for (sum, value) in information.iter_mut().zip([across * across, across * along, along * along]) {
+            *sum += weight * value;
+        }
+        for (sum, value) in pull.iter_mut().zip([across, along]) {
+            *sum += weight * residual * value;
+        }
+    }
+    (information, pull)
 }
 
 /// Adds samples of chroma to the slips they show.

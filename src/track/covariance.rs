@@ -63,13 +63,15 @@ impl Round<'_> {
         let own = points.iter().zip(&seen).zip(normals).zip(&step.colours).map(|(((point, view), normal), colours)| {
             own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
         });
-        let rows = scatter.iter().map(|scattered| scattered.rows);
+        let rows = scatter.iter().map(|scattered| (scattered.rows, scattered.colours));
         let seen = images.into_iter().zip(colours).zip(rows.zip(grain));
-        let views = own.zip(normals).zip(seen).map(|((own, normal), ((image, colours), (rows, grain)))| {
-            let (residual_px, covariance) = own;
-            let residual_covariance_px2 = covariance * inflation;
-            ViewFit { image, colours, residual_px, residual_covariance_px2, rms: rms(&normal.squares), rows, grain }
-        });
+        let views =
+            own.zip(normals).zip(seen).map(|((own, normal), ((image, colours), ((rows, colour_shifts), grain)))| {
+                let (residual_px, covariance) = own;
+                let residual_covariance_px2 = covariance * inflation;
+                let rms = rms(&normal.squares);
+                ViewFit { image, colours, residual_px, residual_covariance_px2, rms, rows, colour_shifts, grain }
+            });
         Ok(TubeFit {
             shape,
             covariance,

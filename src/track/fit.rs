@@ -13,6 +13,7 @@
 use crate::optics::OpticalPath;
 use crate::source::Picture;
 use crate::track::fields::RowShift;
+use crate::track::fringes::Pair;
 use crate::track::grain::Differences;
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
@@ -55,6 +56,8 @@ pub(crate) struct ViewFit {
     pub rms: f64,
     /// Shift of the even rows against the odd ones.
     pub rows: RowShift,
+    /// How far two colours lie from the tube.
+    pub colour_shifts: Pair,
     /// Noise of the background, in pictures of which no more is known.
     pub grain: Option<Differences>,
 }
@@ -195,6 +198,7 @@ mod tests {
     use crate::testing::random::Random;
     use crate::testing::two_views::{BLUR_PX, TRANSFER, Tube, views};
     use crate::track::appearance::Layout;
+    use crate::track::fringes::apart;
     use crate::track::image_model::ModelError;
     use crate::track::light::Encoding;
     use crate::track::tube::ShapeStep;
@@ -312,6 +316,31 @@ mod tests {
             let off_m = [0.0, 22e-3].map(|s| (far.shape.at(s).0 - near.shape.at(s).0).norm());
             let sd_m = near.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
             assert!(off_m.iter().all(|off| *off < 0.5 * sd_m), "{aside} m, {turned}: off by {off_m:?} m, σ {sd_m} m");
+        }
+    }
+
+    /// The first plane of colour shows the tube a pixel to the right of the last one.
+    #[test]
+    fn colours_that_lie_apart_are_measured() {
+        let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
+        let picture = tube.picture(Sensor::default(), 8);
+        let (format, [width, height]) = (picture.format(), picture.size_px());
+        let channels = if format.is_yuv() { [1, 2] } else { [0, 2] };
+        let plane = |channel: usize| -> Vec<u8> {
+            let plane = picture.plane(channel).unwrap();
+            assert_eq!(plane.scale, [1, 1]);
+            let shifted = usize::from(channel == channels[0]);
+            let row = |j: usize| plane.row(j).unwrap().iter().step_by(plane.step).copied().collect::<Vec<_>>();
+            let right = |row: Vec<u8>| (0..row.len()).map(|i| row[i.saturating_sub(shifted)]).collect::<Vec<_>>();
+            (0..plane.height).flat_map(|j| right(row(j))).collect()
+        };
+        let planes = (0..3).map(plane).collect();
+        let planar = if format.is_yuv() { format } else { PixelFormat::RgbPlanar };
+        let picture = Picture::from_planes(width, height, planar, picture.colour(), planes).unwrap();
+        let found = fit(&stretch(), &TubeShape::straight(tube.centre, &tube.direction, 6e-3), &picture, None).unwrap();
+        for view in &found.views {
+            let (apart_px, sd_px) = apart(&view.colour_shifts).unwrap();
+            assert!((apart_px + Vector2::x()).norm() < 0.25, "{apart_px} ± {sd_px}");
         }
     }
 

@@ -15,6 +15,7 @@ mod fields;
 mod find;
 mod fit;
 mod focus;
+mod fringes;
 mod grain;
 mod group_fit;
 mod image_model;

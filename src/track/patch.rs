@@ -109,6 +109,8 @@ pub(crate) struct Patch {
     pub cells: Vec<(usize, usize)>,
     /// A pixel of each square that has cells.
     pub squares: Vec<[u32; 2]>,
+    /// The two channels whose colours are furthest from each other: red and blue, or what is stored of them.
+    pub colour_channels: [u8; 2],
 }
 
 /// The strips of places ordered by spans.
@@ -199,6 +201,7 @@ impl Patch {
             samples: Vec::new(),
             cells,
             squares,
+            colour_channels: if picture.format().is_yuv() { [1, 2] } else { [0, 2] },
         };
         let channels: Vec<usize> = (0..picture.format().channels()).collect();
         // Channels with the same sampling form a layer.

@@ -11,6 +11,7 @@ use crate::track::fields::Fields;
 use crate::track::find::{Finder, Found};
 use crate::track::fit::TubeFit;
 use crate::track::focus::Focus;
+use crate::track::fringes::Fringes;
 use crate::track::grain::Grain;
 use crate::track::group_fit::{Fitted, GroupFitting};
 use crate::track::image_model::{ImageModel, ModelError};
@@ -46,6 +47,9 @@ const BLENDED: &str = "what moves is blurred by more than any exposure explains:
 const WOVEN: &str = "even and odd rows of the pictures show different moments, although they are not marked as \
      interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
      trusted: record progressive frames";
+const FRINGES: &str = "red and blue lie apart in the pictures, by half a pixel or more: the lens shows them at \
+     different places (lateral chromatic aberration), or chroma is not stored where the recording says; σ does not \
+     cover that: use another lens, or the middle of the picture";
 const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from those on which it was taught, since the first \
      frame: something is in front of it, the light is another, or they are coded otherwise; it is refused, but in a \
      noisier recording only in the first frames, and later σ may be too small: look at the overlay, and teach the bands again";
@@ -96,6 +100,7 @@ pub struct Tracker {
     pairs: Pairs,
     grain: Grain,
     fields: Fields,
+    fringes: Fringes,
     /// What was warned of.
     warned: Vec<&'static str>,
     lamp: Option<Lamp>,
@@ -129,6 +134,7 @@ impl Tracker {
             pairs: Pairs::default(),
             grain: Grain::default(),
             fields: Fields::default(),
+            fringes: Fringes::default(),
             warned: Vec::new(),
             lamp: options.tick_led.map(Lamp::new),
             rig: rig.clone(),
@@ -221,6 +227,7 @@ impl Tracker {
             (self.focus.has_changed() && self.rig.camera.blur_px.is_some(), OUT_OF_FOCUS),
             (self.blending.is_seen(), BLENDED),
             (self.fields.are_woven(), WOVEN),
+            (self.fringes.are_seen(), FRINGES),
         ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
         self.warned.push(new);
@@ -286,6 +293,7 @@ impl Tracker {
         let shows_coil = |fitted: &&Fitted| fitted.group.members.iter().any(|(m, _)| *m == self.rig.catheter.coil);
         let Some(of_coil) = fitted.iter().find(shows_coil) else { return };
         let Ok(fit) = &of_coil.result else { return };
+        of_coil.views.iter().zip(&fit.views).for_each(|(v, view)| self.fringes.add(*v, &view.colour_shifts));
         let Some(ways_px) = self.ways_px(frame.stamp, of_coil, fit) else { return };
         for (view, way_px) in fit.views.iter().zip(&ways_px) {
             let [across, _] = view.image.at_arc(0.0).axes();
