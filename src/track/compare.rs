@@ -341,7 +341,7 @@ impl Comparison {
                         let (span, ring) = (*span, spans[*span].ring);
                         let channel = channel.number;
                         let colour = colour_channels.iter().position(|colour| *colour == channel);
-                        let place = Part {
+                        let part = Part {
                             span,
                             ring,
                             points,
@@ -356,7 +356,7 @@ impl Comparison {
                             compared,
                             rows,
                         };
-                        take(sums, &place);
+                        take(sums, &part);
                     }
                 }
             }

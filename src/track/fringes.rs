@@ -13,7 +13,7 @@ use nalgebra::{Matrix2, Vector2};
 
 /// Frames that decide.
 const FRAMES: u32 = 60;
-/// Distance beyond which colours lie apart, pixels. Measured: up to 0.28 in 77 recordings of many formats; 0.4 to 0.5
+/// Distance beyond which colours lie apart, pixels. Measured: up to 0.28 in 77 files of many formats; 0.4 to 0.5
 /// with red and blue magnified by 0.1 % more and less than green, which σ still covers; 0.8 and 1.1 with 0.3 %.
 const LEAST_PX: f64 = 0.45;
 /// Standard deviations of its noise that such a distance must exceed.

@@ -47,12 +47,13 @@ const BLENDED: &str = "what moves is blurred by more than any exposure explains:
 const WOVEN: &str = "even and odd rows of the pictures show different moments, although they are not marked as \
      interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
      trusted: record progressive frames";
-const FRINGES: &str = "red and blue lie apart in the pictures, by half a pixel or more: the lens shows them at \
+const FRINGES: &str = "red and blue lie apart in the pictures, by 0.45 pixels or more: the lens shows them at \
      different places (lateral chromatic aberration), or chroma is not stored where the recording says; σ does not \
      cover that: use another lens, or the middle of the picture";
-const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from those on which it was taught, since the first \
-     frame: something is in front of it, the light is another, or they are coded otherwise; it is refused, but in a \
-     noisier recording only in the first frames, and later σ may be too small: look at the overlay, and teach the bands again";
+const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from those on which it was taught, since the \
+     first frame: something is in front of it, the light is another, or they are coded otherwise; it is refused, but \
+     in a noisier recording only in the first frames, and later σ may be too small: look at the overlay, and teach the \
+     bands again";
 const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
      vibrate, or the pictures were processed; σ of all positions is widened by as much";
 
@@ -240,8 +241,8 @@ impl Tracker {
         ModelError::of(picture, self.pairs.are_alike(), false).lasting().blurred(self.model.blur_px)
     }
 
-    /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were measured,
-    /// and for a band that is fitted together with another.
+    /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were
+    /// measured, and for a band that is fitted together with another.
     pub(crate) fn usual_residuals(&self, marker: usize) -> Vec<f64> {
         self.judge.usual.values(marker).unwrap_or_default()
     }

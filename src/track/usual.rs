@@ -75,8 +75,8 @@ impl Usual {
         beyond.min_by(f64::total_cmp).unwrap_or(0.0).max(0.0)
     }
 
-    /// Standard deviations by which a value exceeds the usual one, where all values of the frame exceed what was learned
-    /// by `common`; 0 below it, and while too little is known.
+    /// Standard deviations by which a value exceeds the usual one, where all values of the frame exceed what was
+    /// learned by `common`; 0 below it, and while too little is known.
     pub(crate) fn above(&mut self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
         let Some(level) = self.levels.get_mut(marker).and_then(|views| views.get_mut(view)) else { return 0.0 };
         let (mean, sd) = if let Some(seen) = level.seen() {
