@@ -138,6 +138,6 @@ mod tests {
         assert!(!are_seen(4 * decided, |_| [way * 0.5, -way * 0.5]), "as little as coders do");
         // For a while, and to alternate sides.
         assert!(!are_seen(4 * decided, |k| if k < 2 * FRAMES { [way, -way] } else { [way * 0.3; 2] }));
-        assert!(!are_seen(4 * decided, |k| if k / FRAMES % 2 == 0 { [way, -way] } else { [-way, way] }));
+        assert!(!are_seen(4 * decided, |k| if (k / FRAMES).is_multiple_of(2) { [way, -way] } else { [-way, way] }));
     }
 }
