@@ -130,7 +130,9 @@ pub fn run(
         drop((frames, result_in));
         let (source, currents, source_end) = returned(reader.join());
         let (mut sinks, mut sink_failures) = returned(writer.join());
-        sink_failures.extend(write_currents(&mut sinks, &currents));
+        let last_currents =
+            |sink: &mut (dyn Sink + Send)| currents.iter().try_for_each(|sample| sink.write_current(sample));
+        sink_failures.extend(each_working(&mut sinks, last_currents));
         sink_failures.extend(finish_all(sinks, &tally));
         let end = match (stopped, source_end) {
             (Some(end), _) => end,
@@ -196,26 +198,25 @@ fn write_all(
     let mut failures = Vec::new();
     let mut sinks: Vec<OpenSink> = sinks.into_iter().map(|sink| (sink, true)).collect();
     for Row { estimate, frame, totals, currents } in results {
-        let failed_now = write_currents(&mut sinks, &currents);
+        let failed_now = each_working(&mut sinks, |sink| {
+            currents.iter().try_for_each(|sample| sink.write_current(sample))?;
+            sink.write(&estimate, Some(&frame.picture))?;
+            totals.iter().try_for_each(|totals| sink.write_totals(totals))
+        });
         failed.fetch_or(!failed_now.is_empty(), Ordering::Relaxed);
         failures.extend(failed_now);
-        for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
-            let written = sink.write(&estimate, Some(&frame.picture));
-            if let Err(error) = written.and_then(|()| totals.iter().try_for_each(|totals| sink.write_totals(totals))) {
-                *works = false;
-                failures.push(error);
-                failed.store(true, Ordering::Relaxed);
-            }
-        }
     }
     (sinks, failures)
 }
 
-/// Gives currents to all sinks that work; returns why some failed.
-fn write_currents(sinks: &mut [OpenSink], currents: &[CurrentSample]) -> Vec<SinkError> {
+/// Gives something to all sinks that work; returns why some failed, which then get no more.
+fn each_working(
+    sinks: &mut [OpenSink],
+    give: impl Fn(&mut (dyn Sink + Send)) -> Result<(), SinkError>,
+) -> Vec<SinkError> {
     let mut failures = Vec::new();
     for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
-        if let Err(error) = currents.iter().try_for_each(|sample| sink.write_current(sample)) {
+        if let Err(error) = give(sink.as_mut()) {
             *works = false;
             failures.push(error);
         }

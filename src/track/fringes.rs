@@ -4,8 +4,8 @@
 //!
 //! Method. The residuals of the fit tell how far each channel's picture lies from the fitted tube: Σ w r t over
 //! Σ w t tᵀ, t the change for a shift of one pixel. Of two channels, red and blue or what is stored of them, a common
-//! shift may be the fit's, or the siting of chroma (slip.rs); their distance is neither. A coder's errors may be as large
-//! for a while, but follow the motion: so it must stay where it is.
+//! shift may be the fit's, or the siting of chroma (slip.rs); their distance is neither. A coder's errors may be as
+//! large for a while, but follow the motion: so it must stay where it is.
 //!
 //! Cannot detect: a distance along a tube whose bands look alike in both channels.
 

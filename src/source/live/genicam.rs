@@ -98,7 +98,7 @@ impl Session {
             aravis::Camera::new((!wanted.is_empty()).then_some(wanted)).map_err(|e| match known.as_slice() {
                 [] => format!(
                     "no GenICam camera answers ({e}). GigE: is it in the same network, and does the firewall let it \
-                 through? USB3: may this user access it (Aravis' udev rules)?"
+                     through? USB3: may this user access it (Aravis' udev rules)?"
                 ),
                 some => {
                     let names: Vec<&str> = some.iter().filter_map(|names| names.first()).map(String::as_str).collect();

@@ -2,8 +2,9 @@
 //! (`-`).
 //!
 //! A network stream that ends or falls silent is reopened, trying once a second, until it is back or the run is
-//! stopped. One that is joined between two key frames begins with the next. Its stamps may restart: the gap before its first frame is unknown and counts as 0, the interruption is
-//! counted ([`StreamFaults::interruptions`]). Standard input ends for good.
+//! stopped. Its stamps may restart: the gap before its first frame is unknown and counts as 0, the interruption is
+//! counted ([`StreamFaults::interruptions`]). Standard input ends for good. A stream that is joined between two key
+//! frames begins with the next.
 
 use super::super::host::{ClockFit, HostClock};
 use super::super::{Frame, FrameSource, SourceError, StreamFaults, VideoFile};
