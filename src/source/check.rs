@@ -1,7 +1,8 @@
-//! Checks of packets whose decoders conceal damage.
+//! What packets tell before they are decoded: damage that their decoders conceal, and their quantisers.
 
 use super::container::configuration;
-use super::jpeg::Steps;
+use super::headers::Headers;
+use super::quantisation::Stated;
 use super::{ffv1, jpeg};
 use ffmpeg_the_third as av;
 use std::path::Path;
@@ -9,19 +10,20 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 
-/// How the packets of a stream can be checked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum How {
-    Not,
+/// What examines a stream's packets.
+pub(super) enum Examiner {
     Ffv1,
     Jpeg,
+    Headers(Headers),
 }
 
 /// The check of a stream's packets, which has a thread of its own: packets are checked while others are decoded.
-pub(super) struct PacketCheck {
-    how: How,
-    /// To the thread; `None` when there is nothing to check, or the system gives none.
-    jobs: Option<Sender<Job>>,
+pub(super) enum PacketCheck {
+    /// There is nothing to check.
+    Nothing,
+    Thread(Sender<Job>),
+    /// The system gives no thread: each is checked when its verdict is needed.
+    Here(Examiner),
 }
 
 /// A packet, and where the verdict goes.
@@ -37,69 +39,80 @@ pub(super) struct InCheck {
 #[derive(Clone, Copy)]
 pub(super) struct Verdict {
     pub sound: bool,
-    /// The quantiser steps that it states.
-    pub steps: Option<Steps>,
+    pub stated: Option<Stated>,
+}
+
+impl Default for Verdict {
+    fn default() -> Self {
+        Self { sound: true, stated: None }
+    }
 }
 
 impl PacketCheck {
     pub(super) fn of(path: &Path, stream: &av::format::stream::Stream<'_>) -> Self {
-        let how = match stream.parameters().id() {
-            av::codec::Id::FFV1 if ffv1::has_checksums(&configuration(stream)) == Some(true) => How::Ffv1,
-            av::codec::Id::FFV1 => {
-                tracing::warn!(
-                    "{}: its pictures (FFV1) have no checksums: damage in them cannot be noticed",
-                    path.display()
-                );
-                How::Not
-            }
-            av::codec::Id::MJPEG => How::Jpeg,
-            _ => How::Not,
-        };
-        if how == How::Not {
-            return Self { how, jobs: None };
-        }
+        let Some(mut examiner) = Examiner::of(path, stream) else { return Self::Nothing };
         let (jobs, taken) = channel::<Job>();
         let check = move || {
             for (packet, answer) in taken {
                 // Nobody waits for it after a jump.
-                let _ = answer.send(how.examine(&packet));
+                let _ = answer.send(examiner.examine(&packet));
             }
         };
-        let thread = thread::Builder::new().name("check".to_owned()).spawn(check);
-        Self { how, jobs: thread.ok().map(|_| jobs) }
+        match thread::Builder::new().name("check".to_owned()).spawn(check) {
+            Ok(_) => Self::Thread(jobs),
+            Err(_) => Examiner::of(path, stream).map_or(Self::Nothing, Self::Here),
+        }
     }
 
     /// Whether it has a thread, so that packets are best given to it some time before their verdicts are needed.
     pub(super) fn has_thread(&self) -> bool {
-        self.jobs.is_some()
+        matches!(self, Self::Thread(_))
     }
 
     /// Begins to check a packet.
     pub(super) fn begin(&self, packet: av::Packet) -> InCheck {
         let packet = Arc::new(packet);
+        let Self::Thread(jobs) = self else { return InCheck { packet, verdict: None } };
         let (answer, verdict) = channel();
-        let sent = self.jobs.as_ref().is_some_and(|jobs| jobs.send((Arc::clone(&packet), answer)).is_ok());
+        let sent = jobs.send((Arc::clone(&packet), answer)).is_ok();
         InCheck { packet, verdict: sent.then_some(verdict) }
     }
 
     /// The verdict on a packet, as soon as there is one.
-    pub(super) fn verdict(&self, InCheck { packet, verdict }: &InCheck) -> Verdict {
-        // Without a thread it is checked here.
-        let answer = verdict.as_ref().and_then(|verdict| verdict.recv().ok());
-        answer.unwrap_or_else(|| self.how.examine(packet))
+    pub(super) fn verdict(&mut self, InCheck { packet, verdict }: &InCheck) -> Verdict {
+        match (self, verdict) {
+            (Self::Here(examiner), _) => examiner.examine(packet),
+            (_, Some(verdict)) => verdict.recv().unwrap_or_default(),
+            (_, None) => Verdict::default(),
+        }
     }
 }
 
-impl How {
-    fn examine(self, packet: &av::Packet) -> Verdict {
+impl Examiner {
+    fn of(path: &Path, stream: &av::format::stream::Stream<'_>) -> Option<Self> {
+        match stream.parameters().id() {
+            av::codec::Id::FFV1 if ffv1::has_checksums(&configuration(stream)) == Some(true) => Some(Self::Ffv1),
+            av::codec::Id::FFV1 => {
+                tracing::warn!(
+                    "{}: its pictures (FFV1) have no checksums: damage in them cannot be noticed",
+                    path.display()
+                );
+                None
+            }
+            av::codec::Id::MJPEG => Some(Self::Jpeg),
+            _ => Headers::of(stream).map(Self::Headers),
+        }
+    }
+
+    fn examine(&mut self, packet: &av::Packet) -> Verdict {
         let data = packet.data().unwrap_or_default();
         match self {
-            Self::Not => Verdict { sound: true, steps: None },
-            Self::Ffv1 => Verdict { sound: ffv1::is_sound(data), steps: None },
+            Self::Ffv1 => Verdict { sound: ffv1::is_sound(data), stated: None },
             Self::Jpeg => {
                 let jpeg::Examined { damage, steps } = jpeg::examine(data);
-                Verdict { sound: damage.is_none(), steps }
+                Verdict { sound: damage.is_none(), stated: steps.map(Stated::Jpeg) }
             }
+            Self::Headers(headers) => Verdict { sound: true, stated: headers.level(packet).map(Stated::Level) },
         }
     }
 }

@@ -9,6 +9,7 @@ use ffmpeg_the_third::software::scaling;
 use ffmpeg_the_third::{chroma, color};
 
 use super::last_coded::LastCoded;
+use super::quantisation::Stated;
 use super::{ChromaSiting, Colour, Matrix, Picture, PixelFormat, Quantisation, Range, SourceError, Transfer};
 
 /// Makes pictures of one stream's frames. Frames in a format of [`Picture`] are kept without a copy.
@@ -67,13 +68,23 @@ impl PictureMaker {
     /// # Errors
     /// [`SourceError::PixelFormat`], [`SourceError::Matrix`].
     pub(crate) fn picture(&mut self, frame: Video) -> Result<Picture, SourceError> {
+        self.picture_stating(frame, None)
+    }
+
+    /// The same of one whose packet stated this of its quantiser.
+    pub(crate) fn picture_stating(&mut self, frame: Video, stated: Option<Stated>) -> Result<Picture, SourceError> {
         let colour = self.colour(&frame)?;
         let interlaced = frame.is_interlaced();
-        let stated = Quantisation::of(&frame);
+        let by_decoder = Quantisation::of(&frame);
         let (frame, format) = self.stored(frame)?;
         let size_px = [frame.width(), frame.height()];
         let picture = Picture::from_decoded(frame, format, colour).interlaced(interlaced);
-        let quantisation = match stated {
+        let by_block = match (by_decoder, stated) {
+            (None, Some(Stated::Jpeg(steps))) => return Ok(picture.of_jpeg(Some(&steps))),
+            (None, Some(Stated::Level(level))) => Some(Quantisation::of_level(level, size_px)),
+            (by_decoder, _) => by_decoder,
+        };
+        let quantisation = match by_block {
             Some(stated) => Some(self.last_coded.quantisation(&picture, stated)),
             None => (!self.loses_little).then(|| self.assumed(size_px)),
         };

@@ -7,8 +7,8 @@ use super::check::{InCheck, PacketCheck, Verdict};
 use super::container::{MAX_REORDERED, best_video, count_hint, open_decoder, open_input};
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
-use super::jpeg::Steps;
 use super::messages::Messages;
+use super::quantisation::Stated;
 use super::times::seconds;
 use super::{Clock, SourceError, Span};
 use ffmpeg_the_third as av;
@@ -63,8 +63,8 @@ pub(super) struct Decoding {
     check: PacketCheck,
     /// Packets read and not decoded yet; the last entry may be why there is none.
     read: VecDeque<Result<InCheck, av::Error>>,
-    /// Quantiser steps of packets whose pictures have not been decoded yet.
-    steps: BTreeMap<i64, Steps>,
+    /// What packets whose pictures have not been decoded yet state of their quantisers.
+    stated: BTreeMap<i64, Stated>,
     /// Times of damaged packets that have given no picture yet.
     undecoded: BTreeSet<i64>,
     /// Decoded pictures not judged yet.
@@ -119,7 +119,7 @@ impl Decoding {
             messages: Messages::default(),
             check,
             read: VecDeque::new(),
-            steps: BTreeMap::new(),
+            stated: BTreeMap::new(),
             undecoded: BTreeSet::new(),
             held: VecDeque::new(),
             ahead: None,
@@ -176,7 +176,7 @@ impl Decoding {
     fn forget(&mut self) {
         (self.damage, self.messages) = Default::default();
         self.read.clear();
-        self.steps.clear();
+        self.stated.clear();
         self.undecoded.clear();
         self.held.clear();
         self.in_turn.clear();
@@ -209,9 +209,9 @@ impl Decoding {
         Some(first)
     }
 
-    /// The quantiser steps that the packet of a picture stated.
-    pub(super) fn steps_of(&mut self, picture: &Decoded) -> Option<Steps> {
-        self.steps.remove(&picture.pts()?)
+    /// What the packet of a picture stated of its quantiser.
+    pub(super) fn stated_of(&mut self, picture: &Decoded) -> Option<Stated> {
+        self.stated.remove(&picture.pts()?)
     }
 
     /// When the packet of a live picture was read.
@@ -296,8 +296,8 @@ impl Decoding {
                     }
                     let sent = self.decoder.send_packet(packet);
                     // The decoder conceals the damage.
-                    let Verdict { sound, steps } = self.check.verdict(&next);
-                    self.steps.extend(pts.zip(steps));
+                    let Verdict { sound, stated } = self.check.verdict(&next);
+                    self.stated.extend(pts.zip(stated));
                     if !sound {
                         self.damaged_packet(av::Error::InvalidData, false);
                     }

@@ -338,8 +338,8 @@ impl VideoFile {
             }
             self.check_size(&decoded.frame, stamp)?;
             self.arrival = self.decoding.arrival_of(&decoded);
-            let steps = self.decoding.steps_of(&decoded);
-            let picture = self.pictures.picture(decoded.frame)?.of_jpeg(steps.as_ref());
+            let stated = self.decoding.stated_of(&decoded);
+            let picture = self.pictures.picture_stating(decoded.frame, stated)?;
             self.layout = Some((picture.format(), picture.colour()));
             let picture = if sound { picture } else { picture.marked_damaged() };
             if sound {

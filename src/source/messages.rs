@@ -1,4 +1,4 @@
-//! What libav says of a decoder's packets.
+//! What libav says of a decoder's packets, and of what else is asked.
 //!
 //! A decoder that conceals damage marks the picture, and one that gives up a packet returns an error. With several
 //! threads the mark is lost when another thread gives the picture out (H.264 with B pictures, FFmpeg 5 and 6), and an
@@ -6,6 +6,7 @@
 //! has a key, which libav hands to the thread that decodes it, and with the thread's messages back to us.
 
 use ffmpeg_the_third as av;
+use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -25,10 +26,25 @@ const CONCEALING: &[u8] = b"concealing ";
 /// Packets remembered: more than there can be threads.
 const REMEMBERED: usize = 256;
 
+/// Longer lines are cut off.
+const LONGEST_LINE: usize = 256;
+
 /// The next packet's key; 0 is none.
 static NEXT: AtomicUsize = AtomicUsize::new(1);
 /// What was said of packets, by key, and no decoder has asked for yet.
 static HEARD: Mutex<BTreeMap<usize, Said>> = Mutex::new(BTreeMap::new());
+
+thread_local! {
+    /// What is logged on this thread, as long as [`logged`] listens.
+    static LOGGED: RefCell<Option<Vec<String>>> = const { RefCell::new(None) };
+}
+
+/// The lines that libav logs on this thread while something is done; they go nowhere else.
+pub(super) fn logged(done: impl FnOnce()) -> Vec<String> {
+    LOGGED.set(Some(Vec::new()));
+    done();
+    LOGGED.take().unwrap_or_default()
+}
 
 /// Keys of a decoder's latest packets, and their numbers.
 #[derive(Debug, Default)]
@@ -89,8 +105,24 @@ type Arguments = av::ffi::va_list;
 #[allow(unsafe_code, reason = "a callback of a C library")]
 #[allow(improper_ctypes_definitions, reason = "on some platforms the binding takes the list of arguments for an array")]
 unsafe extern "C" fn hear(context: *mut c_void, level: c_int, format: *const c_char, arguments: Arguments) {
-    // SAFETY: see above.
+    // SAFETY: see above. The list of arguments is used once.
     unsafe {
+        if LOGGED.with_borrow(Option::is_some) {
+            let mut line = [0; LONGEST_LINE];
+            let mut prefix = 0;
+            av::ffi::av_log_format_line2(
+                std::ptr::null_mut(),
+                level,
+                format,
+                arguments,
+                line.as_mut_ptr(),
+                LONGEST_LINE as c_int,
+                &raw mut prefix,
+            );
+            let line = CStr::from_ptr(line.as_ptr()).to_string_lossy().into_owned();
+            LOGGED.with_borrow_mut(|logged| logged.as_mut().map(|logged| logged.push(line)));
+            return;
+        }
         let said = if CStr::from_ptr(format).to_bytes().starts_with(CONCEALING) {
             Some(Said::Concealed)
         } else {

@@ -17,6 +17,7 @@ mod extent;
 mod ffv1;
 pub(crate) mod file;
 pub(crate) mod gaps;
+mod headers;
 pub mod host;
 pub(crate) mod images;
 pub(crate) mod jpeg;

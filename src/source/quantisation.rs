@@ -1,11 +1,13 @@
 //! How coarsely a coder quantised a picture.
 //!
 //! A coder rounds the coefficients of its transform to whole steps, and drops what is not worth the bits. The stream
-//! states the steps, block by block; libav's decoders export them for H.264, VP9, MPEG-2 and MPEG-4 (not for H.265 and
-//! AV1). The transforms are orthonormal, so a step of a coefficient is also one of stored values.
+//! states the steps, block by block; libav's decoders export them for H.264, VP9, MPEG-2 and MPEG-4. Of H.265 and AV1 the
+//! headers state one for the whole picture (headers.rs), of JPEG the tables (jpeg). The transforms are orthonormal, so a step of a coefficient is also one of stored values.
 
 use ffmpeg_the_third::frame::Video;
 use ffmpeg_the_third::frame::side_data::Type;
+
+use super::jpeg::Steps;
 
 /// Quantiser steps, block by block. A level q means a step of 2^((q − 4) / 6) stored units, as in H.264 (ITU-T H.264,
 /// table 8-15): six levels double it.
@@ -21,6 +23,15 @@ pub struct Quantisation {
     pub channels: [f64; 3],
     /// Whether pictures are predicted from others, so that errors may persist.
     pub predicted: bool,
+}
+
+/// What a packet states of its quantiser.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Stated {
+    /// A JPEG: its tables.
+    Jpeg(Steps),
+    /// The level of the whole picture.
+    Level(u8),
 }
 
 /// Step of a level, stored units.
@@ -46,6 +57,13 @@ impl Quantisation {
     pub fn steps_at(&self, pixel: [u32; 2]) -> Option<[f64; 3]> {
         let step = self.step_at(pixel)?;
         Some(self.channels.map(|by| by * step))
+    }
+
+    /// The same level in all blocks of a picture that may be predicted from others.
+    pub(crate) fn of_level(level: u8, [width, height]: [u32; 2]) -> Self {
+        let columns = width.div_ceil(BLOCK_PX);
+        let levels = vec![level; columns as usize * height.div_ceil(BLOCK_PX) as usize];
+        Self { block_px: BLOCK_PX, columns, levels, channels: [1.0; 3], predicted: true }
     }
 
     /// The same steps everywhere, in an intra-coded picture, of luma and of each stored channel.
@@ -85,27 +103,27 @@ impl Quantisation {
         let (first, length) = (size(WORD)?, size(2 * WORD)?);
         let (kind, base) = (int(3 * WORD)?, int(3 * WORD + 4)?);
         let level_of: fn(i32) -> u8 = match kind {
-            VP9 => |index| level(vp9_step(index)),
-            H264 => |qp| qp.clamp(0, 51) as u8,
+            VP9 => |index| vp9_level(index.into()),
+            H264 => |qp| h26x_level(qp.into()),
             // Steps of 2 q where the matrix is flat (ITU-T H.263, 6.2.1).
             MPEG2 => |q| level(2.0 * f64::from(q)),
             _ => return None,
         };
-        let columns = width.div_ceil(BLOCK_PX);
-        let mut levels = vec![level_of(base); columns as usize * height.div_ceil(BLOCK_PX) as usize];
+        let mut all = Self::of_level(level_of(base), [width, height]);
+        let Self { columns, levels, .. } = &mut all;
         for i in 0..count {
             let at = first.checked_add(i.checked_mul(length)?)?;
             let [x, y, w, h] = [int(at)?, int(at + 4)?, int(at + 8)?, int(at + 12)?].map(|v| v.max(0).cast_unsigned());
             let q = level_of(base.saturating_add(int(at + 16)?));
             for row in (y / BLOCK_PX)..y.saturating_add(h).min(height).div_ceil(BLOCK_PX) {
                 for column in (x / BLOCK_PX)..x.saturating_add(w).min(width).div_ceil(BLOCK_PX) {
-                    if let Some(level) = levels.get_mut(row as usize * columns as usize + column as usize) {
+                    if let Some(level) = levels.get_mut(row as usize * *columns as usize + column as usize) {
                         *level = q;
                     }
                 }
             }
         }
-        Some(Self { block_px: BLOCK_PX, columns, levels, channels: [1.0; 3], predicted: true })
+        Some(all)
     }
 }
 
@@ -118,10 +136,20 @@ const VP9: i32 = 0;
 const H264: i32 = 1;
 const MPEG2: i32 = 2;
 
-/// Step of VP9's quantiser for an index of 0 to 255: its table of steps for coefficients other than the mean, eight
-/// times as large (VP9 Bitstream Specification 0.6, `ac_qlookup`), is matched to within 10 %.
-fn vp9_step(index: i32) -> f64 {
-    let i = f64::from(index.clamp(0, 255));
+/// The level of a quantiser of H.264 or H.265.
+pub(super) fn h26x_level(qp: i64) -> u8 {
+    qp.clamp(0, 51) as u8
+}
+
+/// The level of VP9's quantiser, and AV1's, for an index of 0 to 255.
+pub(super) fn vp9_level(index: i64) -> u8 {
+    level(vp9_step(index))
+}
+
+/// Step of that quantiser: its table for coefficients other than the mean, eight times as large (VP9
+/// Bitstream Specification 0.6, `ac_qlookup`), is matched to within 10 %.
+fn vp9_step(index: i64) -> f64 {
+    let i = index.clamp(0, 255) as f64;
     if i <= 95.0 { (i + 7.0) / 8.0 } else { 102.0 / 8.0 * ((i - 95.0) * VP9_GROWTH).exp() }
 }
 

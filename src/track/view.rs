@@ -25,8 +25,8 @@ const START_NOISE: f64 = 2.5;
 pub(crate) const MIN_NOISE: f64 = 0.5;
 
 /// Variance of a coder beyond which σ no longer covers its errors: that of predicted pictures with a quantiser step of
-/// 51, squared stored units.
-const COARSEST: f64 = coder_variance(51.0, true);
+/// 58 (level 39, H.265's usual one in B pictures), squared stored units.
+const COARSEST: f64 = coder_variance(58.0, true);
 
 /// How the samples are weighted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -310,6 +310,22 @@ fn a_raw_stream_needs_its_rate_and_takes_it() {
     assert!(printed.contains("has its own time stamps"), "{printed}");
 }
 
+/// Of the quantisers that the packets of both recordings state (tests/data/coded/README.md), in the order of display.
+#[test]
+fn pictures_of_h265_and_av1_have_the_quantiser_that_their_headers_state() {
+    let levels = |name: &str| -> Vec<Vec<u8>> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/coded").join(name);
+        let (frames, error, _) = read(&path);
+        assert!(error.is_none(), "{name}: {error:?}");
+        frames.iter().map(|frame| frame.picture.quantisation().unwrap().levels.clone()).collect()
+    };
+    let everywhere = |levels: [u8; 10]| levels.map(|level| vec![level; 20]).to_vec();
+    // I, P and two kinds of B pictures.
+    assert_eq!(levels("h265.mkv"), everywhere([27, 32, 31, 32, 30, 32, 31, 30, 32, 30]));
+    // Indices 67, 105 (shown when its turn comes), 140, 151 and 160.
+    assert_eq!(levels("av1.mkv"), everywhere([23, 36, 35, 36, 33, 36, 35, 36, 28, 36]));
+}
+
 /// The sample's pictures are reordered, and each says how coarsely it was quantised.
 #[test]
 fn the_number_of_threads_does_not_change_a_picture_or_its_quantisation() {
