@@ -196,12 +196,14 @@ fn log_to_stderr(verbose: u8, quiet: bool) {
         (false, _) => LevelFilter::DEBUG,
     };
     let libraries = level.min(LevelFilter::WARN);
+    let shown = Targets::new().with_default(libraries).with_target("catoptra", level);
+    let shown = shown.with_target(warned::TARGET, LevelFilter::OFF);
     let layer = tracing_subscriber::fmt::layer()
         .with_writer(progress::stderr)
         .with_ansi(std::io::stderr().is_terminal() && wants_colour())
         .with_target(false)
         .without_time()
-        .with_filter(Both(Targets::new().with_default(libraries).with_target("catoptra", level), Flood::default()));
+        .with_filter(Both(shown, Flood::default()));
     tracing_subscriber::registry().with(layer).with(Collector.with_filter(warned::seen())).init();
 }
 

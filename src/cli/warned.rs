@@ -10,14 +10,14 @@ use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id};
 use tracing::{Event, Level, Metadata, Span, Subscriber};
 use tracing_subscriber::Layer;
-use tracing_subscriber::filter::{FilterFn, filter_fn};
+use tracing_subscriber::filter::{FilterFn, LevelFilter, filter_fn};
 use tracing_subscriber::layer::{Context, Filter};
 use tracing_subscriber::registry::LookupSpan;
 
 /// Warnings that are kept; more are counted.
 const MAX_KEPT: usize = 100;
-/// Target of the spans: nobody else sees them.
-const TARGET: &str = "work";
+/// Target of the spans: nobody else is to see them.
+pub(super) const TARGET: &str = "work";
 
 /// Of the spans that are open.
 static OPEN: LazyLock<Mutex<HashMap<u64, Warnings>>> = LazyLock::new(Mutex::default);
@@ -36,7 +36,7 @@ pub(super) struct Work(Span);
 
 impl Work {
     pub(super) fn new() -> Self {
-        Self(tracing::trace_span!(target: TARGET, "work"))
+        Self(tracing::warn_span!(target: TARGET, "work"))
     }
 
     /// Does a part of it.
@@ -59,10 +59,12 @@ pub(super) struct Collector;
 
 /// What the collector is to see: the spans, and our own warnings.
 pub(super) fn seen() -> FilterFn<impl Fn(&Metadata<'_>) -> bool> {
-    filter_fn(|metadata| {
+    let seen = filter_fn(|metadata: &Metadata<'_>| {
         let ours = metadata.is_event() && *metadata.level() <= Level::WARN && metadata.target().starts_with("catoptra");
         ours || metadata.is_span() && metadata.target() == TARGET
-    })
+    });
+    // Without it every level counts as wanted by somebody.
+    seen.with_max_level_hint(LevelFilter::WARN)
 }
 
 impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Collector {
@@ -116,7 +118,7 @@ impl<S, A: Filter<S>, B: Filter<S>> Filter<S> for Both<A, B> {
         self.0.event_enabled(event, context) && self.1.event_enabled(event, context)
     }
 
-    fn max_level_hint(&self) -> Option<tracing::level_filters::LevelFilter> {
+    fn max_level_hint(&self) -> Option<LevelFilter> {
         self.0.max_level_hint()
     }
 }

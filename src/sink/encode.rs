@@ -6,6 +6,7 @@
 use super::SinkError;
 use super::clock::Origin;
 use super::colour::FromBgr;
+use crate::source::quiet_libav;
 use ffmpeg_the_third as av;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -54,7 +55,7 @@ impl VideoWriter {
         // The standard library's error for a missing folder is clearer than libav's; libav then overwrites the file.
         std::fs::File::create(path).map_err(|source| SinkError::Io { path: path.into(), source })?;
         let fail = |doing| move |source| SinkError::Video { path: path.into(), doing, source };
-        av::log::set_level(av::log::Level::Warning);
+        quiet_libav();
         let mut url = OsString::from("file:"); // or a colon in the name would be taken for a protocol
         url.push(path);
         let mut output = av::format::output_as(&url, "mp4").map_err(fail("opening"))?;

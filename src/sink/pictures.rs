@@ -14,7 +14,9 @@ use super::colour::{ConvertError, FromBgr, ToBgr};
 use super::encode::would_block;
 use super::{Sink, SinkError};
 use crate::estimate::Estimate;
-use crate::source::{ChromaSiting, Colour, Matrix, ORIGIN_TAG, Picture, PixelFormat, Plane, Range, Transfer};
+use crate::source::{
+    ChromaSiting, Colour, Matrix, ORIGIN_TAG, Picture, PixelFormat, Plane, Range, Transfer, quiet_libav,
+};
 use crate::tally::Tally;
 use ffmpeg_the_third as av;
 use ffmpeg_the_third::format::Pixel;
@@ -80,7 +82,7 @@ impl PictureVideo {
     fn start(&self, picture: &Picture, stamp_ns: i64) -> Result<Running, SinkError> {
         let path = &self.path;
         let fail = |doing| move |source| SinkError::Video { path: path.clone(), doing, source };
-        av::log::set_level(av::log::Level::Error);
+        quiet_libav();
         let mut url = OsString::from("file:"); // else a colon in the name would be taken for a protocol
         url.push(path);
         let mut output = av::format::output_as(&url, "matroska").map_err(fail("opening"))?;

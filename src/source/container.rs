@@ -9,9 +9,9 @@ use super::extent::{Extent, extent};
 use super::times::seconds;
 use super::{SourceError, Span, messages};
 
-/// libav writes to stderr by itself. What matters is in this module's errors and warnings, and what it says of packets
-/// is heard; the rest shows only when debugging.
-pub(super) fn quiet_libav() {
+/// libav writes to stderr by itself. What matters is in our errors and warnings, and what it says of packets is heard;
+/// the rest shows only when debugging.
+pub(crate) fn quiet_libav() {
     let debugging = tracing::enabled!(tracing::Level::DEBUG);
     av::log::set_level(if debugging { av::log::Level::Warning } else { av::log::Level::Quiet });
     messages::listen();

@@ -36,6 +36,7 @@ mod window;
 
 use std::path::Path;
 
+pub(crate) use container::quiet_libav;
 pub use error::SourceError;
 pub(crate) use file::ORIGIN_TAG;
 pub use file::{VideoFile, VideoOptions};
