@@ -83,7 +83,7 @@ fn a_source_that_breaks_keeps_what_was_tracked() {
     image::RgbImage::new(640, 512).save(folder.join("frame2.png")).unwrap();
     let said = ended_with(&place.track(&folder, &[]), 1);
     assert!(
-        said.contains("640x512") && said.contains("2 frames are tracked and written, the last one at 0.017 s"),
+        said.contains("640x512") && said.contains("2 frames tracked and written, the last one at 0.017 s"),
         "{said}"
     );
     assert_eq!(place.frames_in_all_files(), 2);
