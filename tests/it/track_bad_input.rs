@@ -224,5 +224,5 @@ fn a_full_disk_ends_the_run_and_the_table_is_whole() {
     assert!(said.contains("out/log.mcap: File too large") && said.contains("out/report.html"), "{said}");
     let rows = place.table().rows.len();
     assert!((5..250).contains(&rows), "{rows} rows");
-    assert!(said.contains(&format!("{rows} frames are tracked")), "{said}");
+    assert!(said.contains(&format!("{rows} frames tracked")), "{said}");
 }
