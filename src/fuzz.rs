@@ -109,7 +109,7 @@ fn log(bytes: &[u8], folder: &Path) {
     let Some(path) = file(bytes, folder, "log.mcap") else { return };
     let _ = Info::read(&path);
     let _ = Recording::read(&path);
-    let _ = crate::log::attached(&path, "rig.toml");
+    let _ = crate::log::attached(&path, crate::log::schema::RIG_ATTACHMENT);
     let _ = repair(&path);
     for left in ["log.mcap.bak", "log.mcap.repaired"] {
         let _ = std::fs::remove_file(folder.join(left));

@@ -78,11 +78,6 @@ impl Vetoes {
     pub(crate) fn of(&self, seq: u64, stamp_ns: i64) -> Option<&str> {
         self.0.get(&(seq, stamp_ns)).map(String::as_str)
     }
-
-    /// Numbers of the frames, and why.
-    pub(crate) fn frames(&self) -> impl Iterator<Item = (u64, &str)> {
-        self.0.iter().map(|((seq, _), comment)| (*seq, comment.as_str()))
-    }
 }
 
 /// Vetoes a frame of the run in `folder`, or takes that back.
@@ -130,7 +125,7 @@ fn rows(folder: &Path) -> Result<Vec<Veto>, VetoError> {
     let bytes = match std::fs::read(&path) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(error) => return Err(foreign(&error)),
+        Err(error) => return Err(VetoError { path, problem: format!("cannot be read: {error}") }),
     };
     csv::Reader::from_reader(bytes.as_slice())
         .deserialize()
@@ -148,7 +143,6 @@ mod tests {
         add(folder.path(), (7, 5), true, "a hand, \"in\" front\n<script>").unwrap();
         add(folder.path(), (9, 6), true, "bubble").unwrap();
         let standing = add(folder.path(), (7, 5), false, "it was another one").unwrap();
-        assert_eq!(standing.frames().collect::<Vec<_>>(), [(9, "bubble")]);
         assert_eq!((standing.of(9, 6), standing.of(9, 7), standing.of(7, 5)), (Some("bubble"), None, None));
         let written = rows(folder.path()).unwrap();
         assert_eq!((written.len(), written[0].comment.as_str()), (3, "a hand, \"in\" front\n<script>"));

@@ -2,7 +2,7 @@
 
 use super::tables::{Cells, Table, TableError};
 use super::{Measured, Outcome, RunSummary, SummaryError};
-use crate::log::schema::table;
+use crate::log::schema::{LOG_FILE, TABLE_FILE, table};
 use crate::plural::plural;
 use crate::vetoes::{VetoError, Vetoes};
 use std::collections::{BTreeMap, BTreeSet};
@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 const DEPTH: usize = 4;
 /// Rows in memory at a time.
 const ROWS: usize = 1 << 16;
-const TRACK: &str = "track.csv";
 /// The option, and the column, that tells the frame of reference of positions and directions.
 const FRAME: &str = "frame";
 
@@ -71,8 +70,9 @@ impl Study {
     /// [`StudyError::Io`] when a folder cannot be read.
     pub(crate) fn find(folders: &[PathBuf]) -> Result<Self, StudyError> {
         let mut study = Self::default();
+        let mut known = BTreeSet::new();
         for folder in folders {
-            study.look(folder, 0)?;
+            study.look(folder, 0, &mut known)?;
         }
         for run in std::mem::take(&mut study.runs) {
             match check(&run) {
@@ -90,32 +90,29 @@ impl Study {
         Ok(study)
     }
 
-    fn look(&mut self, folder: &Path, depth: usize) -> Result<(), StudyError> {
+    /// Folders with results that are `known` already, by their whole paths, do not count twice. Other folders may be
+    /// searched again: from a folder that is itself named the search goes deeper.
+    fn look(&mut self, folder: &Path, depth: usize, known: &mut BTreeSet<PathBuf>) -> Result<(), StudyError> {
+        let io = |source| StudyError::Io { path: folder.to_owned(), source };
+        let whole = folder.canonicalize().map_err(io)?;
+        if known.contains(&whole) {
+            return Ok(());
+        }
         match RunSummary::read(folder) {
             Ok(Some(summary)) => {
                 self.runs.push(Run { name: summary.name.clone(), folder: folder.to_owned(), summary });
-                return Ok(());
             }
-            Ok(None) => {}
-            Err(error) => {
-                self.left_out.push(error.into());
-                return Ok(());
+            Err(error) => self.left_out.push(error.into()),
+            Ok(None) if folder.join(LOG_FILE).exists() || folder.join(TABLE_FILE).exists() => {
+                self.unfinished.push(folder.to_owned());
             }
-        }
-        let io = |source| StudyError::Io { path: folder.to_owned(), source };
-        let mut below = Vec::new();
-        for entry in std::fs::read_dir(folder).map_err(io)? {
-            let entry = entry.map_err(io)?;
-            if entry.file_type().map_err(io)?.is_dir() {
-                below.push(entry.path());
+            Ok(None) if depth < DEPTH => {
+                let below = below(folder).map_err(io)?;
+                return below.iter().try_for_each(|folder| self.look(folder, depth + 1, known));
             }
+            Ok(None) => return Ok(()),
         }
-        if folder.join("log.mcap").exists() || folder.join(TRACK).exists() {
-            self.unfinished.push(folder.to_owned());
-        } else if depth < DEPTH {
-            below.sort();
-            below.iter().try_for_each(|folder| self.look(folder, depth + 1))?;
-        }
+        known.insert(whole);
         Ok(())
     }
 
@@ -197,10 +194,23 @@ impl Study {
     }
 }
 
+/// The folders in a folder, sorted.
+fn below(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut below = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            below.push(entry.path());
+        }
+    }
+    below.sort();
+    Ok(below)
+}
+
 impl Run {
     /// Whether it has a table of frames in its folder.
     fn has_table(&self) -> bool {
-        self.summary.files.iter().any(|file| file.name == TRACK)
+        self.summary.files.iter().any(|file| file.name == TABLE_FILE)
     }
 
     /// Frame of reference of its positions and directions.
@@ -242,7 +252,7 @@ fn check(run: &Run) -> Result<(), StudyError> {
 
 /// The table of a run, and its header, which has the run's columns.
 fn open(run: &Run) -> Result<(csv::Reader<std::fs::File>, Vec<String>), StudyError> {
-    let path = run.folder.join(TRACK);
+    let path = run.folder.join(TABLE_FILE);
     let wrong = |reason: String| StudyError::Track { path: path.clone(), line: 1, reason };
     let file = std::fs::File::open(&path).map_err(|source| StudyError::Io { path: path.clone(), source })?;
     let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(file);
@@ -269,7 +279,7 @@ fn add_all<'a>(
     let (mut reader, header) = open(run)?;
     let places: Vec<Option<usize>> = names.iter().map(|name| header.iter().position(|other| other == name)).collect();
     let vetoes = Vetoes::read(&run.folder)?;
-    let wrong = |line: u64, reason: String| StudyError::Track { path: run.folder.join(TRACK), line, reason };
+    let wrong = |line: u64, reason: String| StudyError::Track { path: run.folder.join(TABLE_FILE), line, reason };
     let mut row = csv::StringRecord::new();
     let (mut count, mut last_seq) = (0, None);
     loop {
@@ -487,7 +497,7 @@ mod tests {
         let folder = archive.join(&summary.name);
         fs::create_dir_all(&folder).unwrap();
         summary.write(&folder).unwrap();
-        fs::write(folder.join(TRACK), track).unwrap();
+        fs::write(folder.join(TABLE_FILE), track).unwrap();
     }
 
     /// The good run's name and its number of frames in the table, and why the other is left out.
@@ -540,6 +550,21 @@ mod tests {
             assert_eq!((names.as_slice(), frames), (["good".to_owned()].as_slice(), 3), "{reason}");
             assert!(why.len() == 1 && why[0].starts_with(reason), "{reason}: {why:?}");
         }
+    }
+
+    #[test]
+    fn a_run_counts_once_however_often_its_folder_is_named() {
+        let archive = tempfile::tempdir().unwrap();
+        for name in ["day1/a", "day1/b", "day2/c"] {
+            save(archive.path(), &summary(name, "tip", "base"), &track("tip"));
+        }
+        fs::create_dir(archive.path().join("unfinished")).unwrap();
+        fs::write(archive.path().join("unfinished").join(LOG_FILE), "").unwrap();
+        let named = ["day1/b", "day1/../day1/b", "day1", "", "unfinished"].map(|name| archive.path().join(name));
+        let study = Study::find(&named).unwrap();
+        let mut names: Vec<&str> = study.runs.iter().map(|run| run.name.as_str()).collect();
+        names.sort_unstable();
+        assert_eq!((names, study.unfinished.len()), (vec!["day1/a", "day1/b", "day2/c"], 1));
     }
 
     #[test]

@@ -94,7 +94,8 @@ fn summary(study: &Study, frames: u64, unusual: usize, out: &Path) -> String {
     }
     let _ = writeln!(text, "{} without results, {unusual} stand out", failed.len());
     let _ = writeln!(text, "results in {}", out.display());
-    for (file, what) in [(FRAMES, "a row a frame"), (RUNS, "a row a run"), (REPORT, "to look at, in a browser")] {
+    for (file, what) in [(FRAMES, "one row per frame"), (RUNS, "one row per run"), (REPORT, "to look at, in a browser")]
+    {
         let _ = writeln!(text, "  {file:<14}  {what}");
     }
     text

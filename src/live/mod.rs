@@ -281,7 +281,7 @@ struct RowOutputs {
 
 impl RowOutputs {
     fn report(error: &SinkError) {
-        tracing::error!("{error}; this controller gets nothing any more, the log continues");
+        tracing::error!("{error}; this controller receives nothing from now on; logging continues");
     }
 
     /// Controllers first: they wait for it. `picture` is given of a frame that was tracked.

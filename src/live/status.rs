@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 /// Latencies up to ten seconds are told apart.
 const LONGEST_US: u64 = 10_000_000;
-/// So long no frame may come without being told, and so many times the step between the last two.
+/// So long no frame may come without being told, and so many times the usual step between two.
 const SILENCE: Duration = Duration::from_secs(2);
 const SILENCE_STEPS: u32 = 3;
 
@@ -64,8 +64,7 @@ pub(super) struct Counters {
 struct Counts {
     tally: Tally,
     latest: Option<Arc<Estimate>>,
-    /// When that was, and how long after the one before.
-    came: Option<(Instant, Duration)>,
+    pace: Pace,
     reported_frames: u64,
     recent: Histogram<u64>,
     whole: Histogram<u64>,
@@ -77,7 +76,7 @@ impl Counters {
     pub(super) fn new(tally: Tally, clock: HostClock) -> Result<Self, hdrhistogram::CreationError> {
         let histogram = || Histogram::new_with_bounds(1, LONGEST_US, 3);
         let (recent, whole) = (histogram()?, histogram()?);
-        let counts = Counts { tally, latest: None, came: None, reported_frames: 0, recent, whole };
+        let counts = Counts { tally, latest: None, pace: Pace::default(), reported_frames: 0, recent, whole };
         Ok(Self { clock, counts: Mutex::new(counts) })
     }
 
@@ -92,15 +91,14 @@ impl Counters {
             counts.whole.saturating_record(took_us);
         }
         counts.latest = Some(Arc::clone(estimate));
-        let now = Instant::now();
-        counts.came = Some((now, counts.came.map_or(Duration::ZERO, |(last, _)| now - last)));
+        counts.pace.frame(Instant::now());
         due.then(|| counts.tally.totals())
     }
 
     /// How it goes; the counts of new frames begin again.
     pub(super) fn status(&self) -> Status {
         let mut counts = self.lock();
-        let silent = counts.came.and_then(|(last, step)| silence(last.elapsed(), step));
+        let silent = counts.pace.silence(Instant::now());
         let latest = counts.latest.as_ref().filter(|_| silent.is_none());
         let located = latest.map_or(0, |e| e.markers.iter().filter(|m| m.position.is_ok()).count());
         let angle = latest.and_then(|e| e.deflection.as_ref().ok());
@@ -134,9 +132,26 @@ impl Counters {
     }
 }
 
-/// How long it has been, if that is longer than the steps between frames explain.
-fn silence(elapsed: Duration, step: Duration) -> Option<Duration> {
-    Some(elapsed).filter(|elapsed| *elapsed > SILENCE.max(step * SILENCE_STEPS))
+/// When the last frame came, and how far apart the last ones were.
+#[derive(Debug, Default)]
+struct Pace {
+    last: Option<Instant>,
+    steps: [Option<Duration>; 2],
+}
+
+impl Pace {
+    fn frame(&mut self, now: Instant) {
+        let [_, before] = self.steps;
+        self.steps = [before, self.last.map(|last| now - last)];
+        self.last = Some(now);
+    }
+
+    /// How long no frame has come, if that is longer than the steps between frames explain.
+    fn silence(&self, now: Instant) -> Option<Duration> {
+        // The longer of two may be an outage.
+        let step = self.steps.into_iter().flatten().min().unwrap_or_default();
+        self.last.map(|last| now - last).filter(|elapsed| *elapsed > SILENCE.max(step * SILENCE_STEPS))
+    }
 }
 
 fn latency(of: &Histogram<u64>) -> Latency {
@@ -151,8 +166,17 @@ mod tests {
     #[test]
     fn silence_is_longer_than_the_camera_s_own_steps() {
         let s = Duration::from_secs_f64;
-        assert_eq!(silence(s(1.9), s(0.017)), None);
-        assert_eq!(silence(s(2.1), s(0.017)), Some(s(2.1)));
-        assert_eq!((silence(s(14.0), s(5.0)), silence(s(16.0), s(5.0))), (None, Some(s(16.0))));
+        let begin = Instant::now();
+        let told = |times: &[f64], now: f64| {
+            let mut pace = Pace::default();
+            times.iter().for_each(|time| pace.frame(begin + s(*time)));
+            pace.silence(begin + s(now)).map(|silent| silent.as_secs())
+        };
+        assert_eq!((told(&[], 9.0), told(&[0.0], 1.9), told(&[0.0], 2.1)), (None, None, Some(2)));
+        assert_eq!((told(&[0.0, 0.016], 1.9), told(&[0.0, 0.016], 2.1)), (None, Some(2)));
+        assert_eq!((told(&[0.0, 5.0], 19.0), told(&[0.0, 5.0], 21.0)), (None, Some(16)));
+        // An outage of a minute is no step of the camera's, neither before nor after the next frame.
+        assert_eq!(told(&[0.0, 0.016, 60.016], 63.1), Some(3));
+        assert_eq!(told(&[0.0, 0.016, 60.016, 60.032], 63.1), Some(3));
     }
 }

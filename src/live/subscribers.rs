@@ -54,7 +54,7 @@ impl Subscribers {
     }
 
     pub(super) fn report(error: &SinkError) {
-        tracing::error!("{error}; subscribers get nothing any more, the log continues");
+        tracing::error!("{error}; subscribers receive nothing from now on; logging continues");
     }
 
     pub(super) fn put(&self, estimate: &Arc<Estimate>, totals: Option<Totals>) {

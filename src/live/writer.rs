@@ -63,7 +63,7 @@ impl Backlog {
         };
         count.fetch_add(1, Ordering::Relaxed);
         if self.unlogged_frames() + self.unlogged_currents() == 1 {
-            tracing::error!("the disk has been too slow for minutes: rows are not logged any more, and counted");
+            tracing::error!("the disk has been too slow for minutes: rows are being lost from now on, and counted");
         }
     }
 

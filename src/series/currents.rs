@@ -124,7 +124,7 @@ impl CurrentTable {
         Ok(self.rows.iter().map(current).collect())
     }
 
-    /// As text: `t_s`, seconds from the start, and a column a coil, amperes.
+    /// As text: `t_s`, seconds from the start, and one column per coil, amperes.
     pub(crate) fn to_text(&self) -> String {
         let mut text = format!("t_s,{}\r\n", self.coils.join(","));
         for row in &self.rows {

@@ -284,7 +284,7 @@ fn wrong_tables_of_currents_are_refused_with_the_line() {
         fs::write(&path, text).unwrap();
         CurrentTable::read(&path).unwrap_err().to_string().replace(&path.display().to_string(), "i.csv")
     };
-    let expected = "expected a header with host_ns, unix_s, stamp_ns or t_s, and a column a coil";
+    let expected = "expected a header with host_ns, unix_s, stamp_ns or t_s, and one column per coil";
     assert_eq!(message("0,1\n"), format!("i.csv: has no times of currents: {expected}"));
     assert_eq!(message("t_s\n0\n"), "i.csv: has only times, in the column t_s; expected a column per coil, in amperes");
     assert_eq!(

@@ -96,7 +96,7 @@ impl PictureVideo {
         settings.set_time_base(av::Rational(1, 1_000_000_000));
         // Rate control only.
         settings.set_frame_rate(Some(av::Rational(60, 1)));
-        // One intra-coded picture per second: at most that much can be lost.
+        // One intra-coded picture in 60: at most that much can be lost.
         settings.set_gop(if self.codec == PictureCodec::Ffv1 { 1 } else { 60 });
         settings.set_max_b_frames(0);
         if output.format().flags().contains(av::format::Flags::GLOBAL_HEADER) {

@@ -40,8 +40,8 @@ impl CurrentColumns {
     pub(crate) fn of<S: AsRef<str>>(names: &[S]) -> Result<Self, String> {
         let at = |wanted: &str| names.iter().position(|name| name.as_ref() == wanted);
         let Some((time, times)) = TIMES.iter().find_map(|(name, times)| Some((at(name)?, *times))) else {
-            return Err("has no times of currents: expected a header with host_ns, unix_s, stamp_ns or t_s, and a \
-                        column a coil"
+            return Err("has no times of currents: expected a header with host_ns, unix_s, stamp_ns or t_s, and one \
+                        column per coil"
                 .to_owned());
         };
         let is_time = |name: &str| TIMES.iter().any(|(known, _)| *known == name);

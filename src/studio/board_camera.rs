@@ -68,7 +68,7 @@ pub(super) fn judge(desk: &Desk, form: &Form) -> Result<Reply, Refusal> {
 fn is_worth_it(bench: &CalibrationInput, images: Vec<BoardImage>, size_px: [u32; 2]) -> (bool, String) {
     if images.len() < bench.most {
         let (seen, most) = (images.len(), bench.most);
-        return (false, format!("the board is seen {seen} times, and should be {most} times, in each view once"));
+        return (false, format!("the board is seen in {seen} of {most} views; show it in all of them"));
     }
     if images.iter().any(BoardImage::is_blurred) {
         return (false, "the board is blurred".to_owned());
@@ -86,7 +86,7 @@ fn is_worth_it(bench: &CalibrationInput, images: Vec<BoardImage>, size_px: [u32;
         judged.map(|judged| judged.median_and_worst(|e| e.absolute_m).0 * 1e3)
     };
     match (error_mm(&bench.found), error_mm(&all)) {
-        (None, _) => (true, "the board is where it was in no picture yet".to_owned()),
+        (None, _) => (true, "the board has not been in this position before".to_owned()),
         (Some(_), None) => (false, "with it the rig cannot be calibrated any more".to_owned()),
         (Some(before), Some(after)) if after < before * (1.0 - MIN_IMPROVEMENT) => {
             (true, format!("the error to be expected falls from {before:.3} to {after:.3} mm"))

@@ -65,7 +65,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
         "residuals": residuals,
         "alarms": run.alarms.iter().map(alarm).collect::<Vec<_>>(),
         "cut": run.cut,
-        "vetoes": veto::standing(run.folder())?,
+        "vetoes": veto::standing(&run)?,
         "set_up": run.rig.as_ref().map(scene::set_up),
         "note": run.note,
     })))

@@ -4,7 +4,7 @@ use super::Refusal;
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{float, inner, number, text, xyz};
 use crate::log::records;
-use crate::log::schema::Topic;
+use crate::log::schema::{LOG_FILE, RIG_ATTACHMENT, TABLE_FILE, Topic};
 use crate::rig::Rig;
 use crate::series::Recording;
 use mcap::records::Record;
@@ -13,9 +13,6 @@ use prost_reflect::{DynamicMessage, Value};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
-
-const LOG: &str = "log.mcap";
-const TABLE: &str = "track.csv";
 
 /// Runs that stay in memory.
 const MAX_RUNS: usize = 2;
@@ -123,14 +120,14 @@ impl Run {
             rig_path: of("rig"),
             ..Self::default()
         };
-        let (log, table) = (folder.join(LOG), folder.join(TABLE));
+        let (log, table) = (folder.join(LOG_FILE), folder.join(TABLE_FILE));
         if log.is_file() {
             run.log(&log)?;
         } else if table.is_file() {
             run.table(&table)?;
         } else {
             let folder = folder.display();
-            return Err(Refusal::wrong(format!("{folder}: is no run: it has no {LOG} and no {TABLE}")));
+            return Err(Refusal::wrong(format!("{folder}: is no run: it has no {LOG_FILE} and no {TABLE_FILE}")));
         }
         Ok(run)
     }
@@ -149,7 +146,7 @@ impl Run {
         let table = Recording::as_measured(path).map_err(Refusal::wrong)?;
         self.markers = table.markers;
         self.cut = table.cut;
-        self.note = Some(format!("there is no {LOG}: outlines, residuals and the scene are not known"));
+        self.note = Some(format!("there is no {LOG_FILE}: outlines, residuals and the scene are not known"));
         self.rows = table
             .frames
             .into_iter()
@@ -180,9 +177,9 @@ impl Run {
                         self.health(&health);
                     }
                 }
-                Record::Attachment { header, data, .. } if header.name == "rig.toml" => {
+                Record::Attachment { header, data, .. } if header.name == RIG_ATTACHMENT => {
                     let text = std::str::from_utf8(data.as_ref()).ok();
-                    self.rig = text.and_then(|text| Rig::from_toml_str(text, Path::new("rig.toml")).ok());
+                    self.rig = text.and_then(|text| Rig::from_toml_str(text, Path::new(RIG_ATTACHMENT)).ok());
                 }
                 other => decoder.learn(other),
             }
@@ -264,5 +261,5 @@ fn list(message: &DynamicMessage, field: &str) -> Vec<DynamicMessage> {
 /// When its files were written.
 fn changed(folder: &Path) -> [Option<SystemTime>; 2] {
     let of = |name: &str| std::fs::metadata(folder.join(name)).ok()?.modified().ok();
-    [of(LOG), of(TABLE)]
+    [of(LOG_FILE), of(TABLE_FILE)]
 }

@@ -1,6 +1,7 @@
 //! Vetoes of frames, given and taken back.
 
 use super::desk::Desk;
+use super::run::Run;
 use super::{Refusal, Reply};
 use crate::vetoes::{self, FILE, VetoError, Vetoes};
 use serde::Deserialize;
@@ -36,16 +37,18 @@ pub(super) fn veto(desk: &Desk, asked: &Asked) -> Result<Reply, Refusal> {
         return Err(Refusal::wrong(problem));
     }
     let standing = vetoes::add(run.folder(), (row.seq, row.stamp_ns), asked.vetoed, comment).map_err(refused)?;
-    Ok(Reply::Json(json!({ "vetoes": vetoes_json(&standing), "file": FILE })))
+    Ok(Reply::Json(json!({ "vetoes": vetoes_json(&run, &standing), "file": FILE })))
 }
 
 /// Frames of a run that are vetoed now, as the page takes them: number, and why.
-pub(super) fn standing(folder: &std::path::Path) -> Result<Value, Refusal> {
-    Ok(vetoes_json(&Vetoes::read(folder).map_err(refused)?))
+pub(super) fn standing(run: &Run) -> Result<Value, Refusal> {
+    Ok(vetoes_json(run, &Vetoes::read(run.folder()).map_err(refused)?))
 }
 
-fn vetoes_json(standing: &Vetoes) -> Value {
-    json!(standing.frames().collect::<BTreeMap<_, _>>())
+/// A veto of a frame of the same number of an earlier recording is not among them.
+fn vetoes_json(run: &Run, standing: &Vetoes) -> Value {
+    let of_run = run.rows.iter().filter_map(|row| Some((row.seq, standing.of(row.seq, row.stamp_ns)?)));
+    json!(of_run.collect::<BTreeMap<_, _>>())
 }
 
 fn refused(error: VetoError) -> Refusal {

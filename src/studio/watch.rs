@@ -1,6 +1,7 @@
 //! A live run while it goes on: its last rows, how it goes, and a picture now and then.
 
 use super::{Refusal, Reply, scene, shown};
+use crate::estimate::Estimate;
 use crate::live::{Latest, RecordSwitch, lower_priority};
 use crate::rig::Rig;
 use crate::sink::{ToBgr, plain_words};
@@ -95,26 +96,7 @@ impl Watch {
     /// Rows that are new, and how it goes.
     pub(super) fn rows(&self, asked: &RowsAsked) -> Reply {
         lower_priority();
-        let views: Vec<&str> = self.rig.views.iter().map(|v| v.name.as_str()).collect();
-        let to_base = self.rig.base.as_ref().map_or(Isometry3::identity(), |base| base.base_from_camera);
-        let rows: Vec<Value> = self
-        .latest
-        .rows_after(asked.after)
-        .iter()
-        .map(|row| {
-            let tip = row.markers.last().and_then(|m| m.position.as_ref().ok());
-            let tip_mm = tip.map(|position| (to_base * position.point * 1e3).coords.map(|v| (v * 1e3).round() / 1e3));
-            json!({
-                "seq": row.seq,
-                "t_s": row.stamp.seconds(),
-                "host_s": row.host.map(|host| host.arrival_ns as f64 * 1e-9),
-                "gap": row.gap,
-                "theta_deg": row.deflection.as_ref().ok().map(|d| [d.theta_rad, d.theta_sd_rad].map(f64::to_degrees)),
-                "status": row.deflection.as_ref().err().map(|miss| plain_words(&miss.word(&views))),
-                "tip_mm": tip_mm.map(|p| [p.x, p.y, p.z]),
-            })
-        })
-        .collect();
+        let rows: Vec<Value> = self.latest.rows_after(asked.after).iter().map(|row| self.row(row)).collect();
         let currents_after = asked.currents_after.as_ref().and_then(|ns| ns.parse().ok()).unwrap_or(i64::MIN);
         let currents = self.latest.currents_after(currents_after);
         let status = self.latest.status();
@@ -138,6 +120,23 @@ impl Watch {
                 })).collect::<Vec<_>>(),
             },
         }))
+    }
+
+    fn row(&self, row: &Estimate) -> Value {
+        let views: Vec<&str> = self.rig.views.iter().map(|v| v.name.as_str()).collect();
+        let to_base = self.rig.base.as_ref().map_or(Isometry3::identity(), |base| base.base_from_camera);
+        let tip = row.markers.get(self.rig.tip()).and_then(|m| m.position.as_ref().ok());
+        let tip_mm = tip.map(|position| (to_base * position.point * 1e3).coords.map(|v| (v * 1e3).round() / 1e3));
+        json!({
+            "seq": row.seq,
+            "t_s": row.stamp.seconds(),
+            // When it was exposed, as the samples of currents say when they flowed.
+            "host_s": row.host.map(|host| host.stamp_ns as f64 * 1e-9),
+            "gap": row.gap,
+            "theta_deg": row.deflection.as_ref().ok().map(|d| [d.theta_rad, d.theta_sd_rad].map(f64::to_degrees)),
+            "status": row.deflection.as_ref().err().map(|miss| plain_words(&miss.word(&views))),
+            "tip_mm": tip_mm.map(|p| [p.x, p.y, p.z]),
+        })
     }
 
     /// Begins or ends the recording of pictures.
@@ -180,5 +179,26 @@ impl Watch {
             Some(_) if asked.after.is_none_or(|after| made.seq > after) => Ok(Reply::Json(made.reply.clone())),
             _ => Ok(Reply::Nothing),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::HostTime;
+    use crate::testing::fixture;
+
+    #[test]
+    fn a_row_has_the_rig_s_tip_and_the_time_of_exposure() {
+        let mut rig = fixture::rig();
+        let mut estimate = fixture::complete(0, 0);
+        estimate.host = Some(HostTime { arrival_ns: 5_000_000_000, stamp_ns: 4_000_000_000 });
+        let mut row = |end| {
+            rig.catheter.end = end;
+            Watch::new(Arc::default(), &rig, "", "").row(&estimate)
+        };
+        let [last, first] = [row(None), row(Some(0))];
+        assert_eq!((&last["host_s"], &last["tip_mm"]), (&json!(4.0), &row(Some(2))["tip_mm"]));
+        assert!(first["tip_mm"].is_array() && first["tip_mm"] != last["tip_mm"], "{first}");
     }
 }

@@ -249,7 +249,11 @@ fn a_run_is_looked_through_and_frames_are_vetoed() {
             && written.contains(",restored,it was frame 8,")
     );
     assert_eq!(before, std::fs::read(folder.path().join("run/track.csv")).unwrap());
+    // Frame 5 of a recording that was tracked into this folder before.
+    let vetoes = folder.path().join("run/vetoes.csv");
+    std::fs::write(&vetoes, written + "5,-1,vetoed,a hand,2026-01-01T00:00:00Z\r\n").unwrap();
     assert_eq!(studio.json("run", &json!({ "run": "run" }))["vetoes"], json!({ "3": "bubble" }));
+    assert_eq!(veto(4, true, "glare").json()["vetoes"], json!({ "3": "bubble", "4": "glare" }));
 
     // Without its log a run is a table; without its recording it has no pictures.
     std::fs::remove_file(folder.path().join("run/log.mcap")).unwrap();

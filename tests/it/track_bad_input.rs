@@ -84,7 +84,7 @@ fn a_source_that_breaks_keeps_what_was_tracked() {
     image::RgbImage::new(640, 512).save(folder.join("frame2.png")).unwrap();
     let said = ended_with(&place.track(&folder, &[]), 1);
     assert!(
-        said.contains("640x512") && said.contains("2 frames are tracked and written, the last one at 0.017 s"),
+        said.contains("640x512") && said.contains("2 frames tracked and written, the last one at 0.017 s"),
         "{said}"
     );
     assert_eq!(place.frames_in_all_files(), 2);
@@ -225,5 +225,5 @@ fn a_full_disk_ends_the_run_and_the_table_is_whole() {
     assert!(said.contains("out/log.mcap: File too large") && said.contains("out/report.html"), "{said}");
     let rows = place.table().rows.len();
     assert!((5..250).contains(&rows), "{rows} rows");
-    assert!(said.contains(&format!("{rows} frames are tracked")), "{said}");
+    assert!(said.contains(&format!("{rows} frames tracked")), "{said}");
 }

@@ -93,9 +93,10 @@ fn snakemake_takes_a_manifest_to_tables() {
     };
     let place = Place::new();
     manifest(&place);
+    fs::rename(place.path("rig.toml"), place.path("the rig.toml")).unwrap();
     let config = [
         "manifest=runs.tsv".to_owned(),
-        "rig=rig.toml".to_owned(),
+        "rig=the rig.toml".to_owned(),
         "shard_size=2".to_owned(),
         format!("catoptra={}", env!("CARGO_BIN_EXE_catoptra")),
     ];

@@ -128,7 +128,7 @@ def review(page):
     expect(page.locator("#said")).to_contain_text("run: ")
     expect(page.locator("#frame")).not_to_contain_text("± –°")
     page.get_by_role("button", name="Veto this frame").click()
-    expect(page.locator("#said")).to_contain_text("why this frame is not to be trusted")
+    expect(page.locator("#said")).to_contain_text("why this frame should not be trusted")
     page.wait_for_selector(".review[data-row='0']")
     page.locator("#said").click()
     for _ in range(7):

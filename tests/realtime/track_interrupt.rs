@@ -26,7 +26,7 @@ fn interrupted_by(signal: &str) {
     assert!((9..300).contains(&frames), "{frames} frames");
     assert_eq!(command::frames(&place.path("out/overlay.mp4")).len(), frames);
     let last_s = *place.table().numbers("t_s").last().unwrap();
-    let printed = format!("{frames} frames are tracked and written, the last one at {last_s} s");
+    let printed = format!("{frames} frames tracked and written, the last one at {last_s} s");
     assert!(said.contains("interrupted: ") && said.contains(&printed), "{printed} is not in {said}");
     assert!(stdout(&output).contains(&format!("{frames} frames, 0.000 s to ")), "{}", stdout(&output));
 }

@@ -3,6 +3,7 @@
 use super::super::run::Record;
 use super::super::run::folder::PICTURES;
 use crate::live::{RecordSwitch, RecordTo, Recording, SwitchedRecording};
+use crate::log::schema::LOG_FILE;
 use crate::sink::{PictureCount, PictureVideo, Sink, SinkError};
 use std::fs::OpenOptions;
 use std::io::ErrorKind;
@@ -16,7 +17,7 @@ pub(super) fn record_words() -> Vec<&'static str> {
 
 /// Where `record` puts its pictures, for people.
 fn place(record: Record) -> &'static str {
-    record.codec().map_or("log.mcap", |_| PICTURES)
+    record.codec().map_or(LOG_FILE, |_| PICTURES)
 }
 
 /// The switch of a run that is recorded from its beginning as `record` says.

@@ -10,6 +10,7 @@ use super::super::{Exit, Failure};
 use super::options::Record;
 use crate::archive::{FileRecord, SUMMARY};
 use crate::atomic_file;
+use crate::log::schema::{LOG_FILE, TABLE_FILE};
 use crate::tally::budget::{Contribution, together};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
@@ -17,8 +18,6 @@ use std::fs;
 use std::io::{self, ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 
-const LOG: &str = "log.mcap";
-const TABLE: &str = "track.csv";
 const REPORT: &str = "report.html";
 const OVERLAY: &str = "overlay.mp4";
 /// The video of the pictures.
@@ -26,7 +25,7 @@ pub(in crate::cli) const PICTURES: &str = "pictures.mkv";
 /// In place of the name of a table: stdout.
 const STDOUT: &str = "-";
 /// All files that a run may write into its folder. The summary comes first, so that it is removed before the others.
-const ALL: [&str; 7] = [SUMMARY, RUN, LOG, TABLE, REPORT, OVERLAY, PICTURES];
+const ALL: [&str; 7] = [SUMMARY, RUN, LOG_FILE, TABLE_FILE, REPORT, OVERLAY, PICTURES];
 
 /// The files of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -100,8 +99,8 @@ impl Files {
     pub(in crate::cli) fn new(folder: &Path, table: Option<&Path>, overlay: bool) -> Self {
         let file = |name: &str| folder.join(name);
         Self {
-            log: file(LOG),
-            table: table.map_or_else(|| file(TABLE), Path::to_owned),
+            log: file(LOG_FILE),
+            table: table.map_or_else(|| file(TABLE_FILE), Path::to_owned),
             report: file(REPORT),
             overlay: overlay.then(|| file(OVERLAY)),
             pictures: None,
@@ -245,7 +244,7 @@ impl Files {
             return refused(format!("{table}: is a folder; give the name of a file with --csv"));
         }
         // Something other than a regular file, such as /dev/stdout, cannot be lost.
-        if self.table != self.folder.join(TABLE) && self.table.is_file() && !is_table(&self.table) {
+        if self.table != self.folder.join(TABLE_FILE) && self.table.is_file() && !is_table(&self.table) {
             return refused(format!("{table}: exists and is not a table of this command; choose another with --csv"));
         }
         Ok(())
@@ -372,7 +371,7 @@ mod tests {
         assert!(refused.to_string().contains("table.csv") && !files.folder.exists(), "{refused}");
         fs::write(&table, "seq,t_s,stamp_ns\r\n").unwrap();
         drop(files.prepare(&run("/a.mkv"), &[]).unwrap());
-        let log_twice = Files::new(place.path(), Some(&place.path().join(LOG)), false);
+        let log_twice = Files::new(place.path(), Some(&place.path().join(LOG_FILE)), false);
         assert_eq!(log_twice.prepare(&run("/a.mkv"), &[]).unwrap_err().exit(), Exit::Usage);
     }
 

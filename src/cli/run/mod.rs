@@ -11,6 +11,7 @@ use crate::archive::transient::is_transient;
 use crate::log;
 use crate::log::schema::RIG_ATTACHMENT;
 use crate::pipeline::{End, Summary};
+use crate::plural::plural;
 use crate::report::{ReportSink, RunInfo};
 use crate::rig::check::{Warning, check};
 use crate::rig::{Rig, RigError, View};
@@ -155,7 +156,7 @@ pub(super) fn verdict(source: &str, rig: &Rig, summary: Summary) -> Result<(), F
     let tally = &summary.tally;
     let so_far = match tally.frames {
         0 => "nothing is tracked".to_owned(),
-        n => format!("{n} frames are tracked and written, the last one at {} s", seconds(tally.last_ns)),
+        n => format!("{} tracked and written, the last one at {} s", plural(n, "frame"), seconds(tally.last_ns)),
     };
     // Disks come first: an interrupted run that could not be written is a failed one.
     if !summary.sink_failures.is_empty() {

@@ -82,7 +82,7 @@ pub(in crate::cli) fn summary(
     writeln!(out, "\ntracked in {took_s:.1} s, {:.0} frames per second", tally.frames as f64 / took_s.max(1e-9))?;
     writeln!(out, "results in {}", files.folder.display())?;
     let named: [(Option<&PathBuf>, &str); 5] = [
-        (Some(&files.table), "one row a frame"),
+        (Some(&files.table), "one row per frame"),
         (Some(&files.report), "to look at, in a browser"),
         (files.overlay.as_ref(), "the recording with what was found drawn into it"),
         (Some(&files.log), "everything, for Foxglove and programs"),

@@ -1,5 +1,5 @@
-//! The output of a run, defined once for writers and readers: the topics of a log and their messages ([`messages`]),
-//! the names of its attachments and metadata, and the columns of the table.
+//! The output of a run, defined once for writers and readers: the names of its files, the topics of a log and their
+//! messages ([`messages`]), the names of its attachments and metadata, and the columns of the table.
 //!
 //! | topic | schema | what | when |
 //! |---|---|---|---|
@@ -30,6 +30,12 @@ pub(crate) const ENCODING: &str = "protobuf";
 
 /// How the samples of a picture's window are compressed.
 pub(crate) const WINDOW_FORMAT: &str = "png";
+
+/// Name of the log in the folder of a run.
+pub(crate) const LOG_FILE: &str = "log.mcap";
+
+/// Name of the table in the folder of a run.
+pub(crate) const TABLE_FILE: &str = "track.csv";
 
 /// Name of the attached rig file.
 pub(crate) const RIG_ATTACHMENT: &str = "rig.toml";

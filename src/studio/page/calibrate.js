@@ -34,7 +34,7 @@ export class Calibrate {
       this.look();
       this.judgeCamera();
     }
-    if (!this.pictures.length) say(this.camera ? "Hold the board into the picture." : "Drop in pictures of the board, or choose a folder of them.");
+    if (!this.pictures.length) say(this.camera ? "Hold the board in view of the camera." : "Drop in pictures of the board, or choose a folder of them.");
   }
 
   leave() {
@@ -131,7 +131,7 @@ export class Calibrate {
         el("h2", {}, "Pictures"),
         el("div", { class: "row" }, el("label", { for: "files" }, "Add", files)),
         field("folder", "kept in", this.folder),
-        el("button", { type: "button", id: "usefolder", onclick: () => this.useFolder().catch(complain) }, "Take those that are there"),
+        el("button", { type: "button", id: "usefolder", onclick: () => this.useFolder().catch(complain) }, "Use the pictures in this folder"),
         this.list),
       el("section", {}, el("div", { class: "row" }, el("label", { class: "grow", for: "rigout" }, "into", this.out), this.saveButton), this.shown, this.result));
     this.element = el("div", { class: "view calibrate" }, left, side);
@@ -174,7 +174,8 @@ export class Calibrate {
     say(`Looking for the board in ${picture.path} …`);
     try {
       picture.found = await ask("board/find", { picture: picture.path, board: this.board.value, mirrors: Number(this.mirrors.value) });
-      say(picture.found.error ? `${picture.path}: ${picture.found.error}` : `${picture.path}: the board is seen ${picture.found.images.length} times`, Boolean(picture.found.error));
+      const seen = picture.found.images?.length;
+      say(`${picture.path}: ${picture.found.error ?? `${seen} ${seen === 1 ? "image" : "images"} of the board found`}`, Boolean(picture.found.error));
     } catch (error) {
       picture.found = { error: error.message, images: null, size: this.size };
       complain(error);
@@ -220,9 +221,9 @@ export class Calibrate {
     }));
     const last = this.verdicts.at(-1);
     const parts = [];
-    if (!last) parts.push(el("p", { class: "quiet" }, "Said when there are pictures and a rig file with the camera."));
+    if (!last) parts.push(el("p", { class: "quiet" }, "Shown once there are pictures and a rig file with a camera."));
     else if (last.error) parts.push(el("p", { class: "bad" }, `${last.pictures} pictures: ${last.error}`));
-    else if (!last.verdict) parts.push(el("p", {}, "The pictures leave the errors open."));
+    else if (!last.verdict) parts.push(el("p", {}, "These pictures do not determine the errors."));
     else {
       const row = (name, [median, worst]) => el("tr", {}, el("td", {}, name), el("td", { class: "number" }, mm(median)), el("td", { class: "number" }, mm(worst)));
       parts.push(
@@ -301,7 +302,7 @@ export class Calibrate {
   async showCommand() {
     const form = this.form();
     if (!form.pictures.length || !this.rig || !this.out.value) {
-      this.shown.textContent = "The command that does the same stands here when there are pictures.";
+      this.shown.textContent = "The equivalent command appears here once there are pictures.";
       return;
     }
     try {

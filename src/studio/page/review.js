@@ -42,7 +42,7 @@ export class Review {
     this.legend = el("div", { class: "legend" });
     this.words = el("div", { id: "frame" });
     this.list = el("div", { id: "vetoes" });
-    this.comment = el("input", { class: "grow", id: "comment", placeholder: "why this frame is not to be trusted", maxLength: 400 });
+    this.comment = el("input", { class: "grow", id: "comment", placeholder: "why this frame should not be trusted", maxLength: 400 });
     this.vetoButton = button("Veto this frame", () => this.veto().catch(complain));
     this.drift = el("div", {});
     const pictures = el("div", { class: "pictures" }, this.stage.element, this.space.element);
@@ -191,7 +191,7 @@ export class Review {
     const vetoed = this.vetoes[this.found.seq] === undefined;
     if (!this.comment.value.trim()) {
       this.comment.focus();
-      return say("Write beside it why this frame is not to be trusted, or is again.", true);
+      return say("Enter why this frame should not be trusted, or can be again.", true);
     }
     // The frame that is shown: another one may be on its way.
     const { row, seq } = this.found;

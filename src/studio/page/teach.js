@@ -237,7 +237,7 @@ export class Teach {
     if (x < 0 || y < 0 || x > this.size[0] - 1 || y > this.size[1] - 1) return say("That is outside of the picture.");
     if (this.picks.some((pick) => pick.frame !== this.frame)) {
       this.clear();
-      say("Picks are of one frame: those of the other frame are gone.");
+      say("All picks must be in one frame; those in the other frame were discarded.");
     }
     const began = performance.now();
     const look = await ask("teach/click", { form: this.form(), band, view: this.view || null, x, y });
@@ -557,7 +557,7 @@ export class Teach {
 
   async showCommand() {
     if (!this.recording || !this.rig || !this.out.value || !this.picks.length) {
-      this.shown.textContent = "The command that does the same stands here when a band is picked.";
+      this.shown.textContent = "The equivalent command appears here once a band is picked.";
       return;
     }
     try {

@@ -8,6 +8,8 @@ const SECONDS = 20;
 // What is drawn costs the computer that tracks, too: no more often than the eye follows.
 const ASK_MS = 200;
 const PICTURE_MS = 200;
+// Samples of currents that wait for a frame to be drawn against: as many as the program keeps.
+const MAX_WAITING = 3600;
 const AXES = ["x", "y", "z"];
 
 export class Watch {
@@ -37,7 +39,7 @@ export class Watch {
       el("div", { class: "side" },
         el("section", {}, el("div", { class: "quiet" }, `${source} into ${folder}`), this.big, this.pause),
         hows ? el("section", {}, el("h2", {}, "Recording of pictures"), el("div", { class: "row" }, this.record, this.how), this.recorded) : null,
-        el("section", {}, el("h2", {}, "How it goes"), this.figures),
+        el("section", {}, el("h2", {}, "Status"), this.figures),
         el("section", {}, el("h2", {}, "Alarms"), this.alarms)));
     this.begun = false;
   }
@@ -88,7 +90,7 @@ export class Watch {
   hold() {
     this.paused = !this.paused;
     this.pause.setAttribute("aria-pressed", String(this.paused));
-    this.pause.textContent = this.paused ? "Go on" : "Hold the picture";
+    this.pause.textContent = this.paused ? "Resume" : "Hold the picture";
   }
 
   async follow() {
@@ -133,10 +135,13 @@ export class Watch {
       this.rows.push(row);
     }
     this.currents.push(...currents);
+    if (currents.length) this.currentsAfter = currents.at(-1).host_ns;
     const last = this.rows.at(-1);
+    // Host's time and camera's stand to each other as in the last frame.
+    const shift = (last?.host_s ?? null) === null ? null : last.t_s - last.host_s;
+    if (shift === null) this.currents = this.currents.slice(-MAX_WAITING);
     if (!last) return;
     this.after = last.seq;
-    this.currentsAfter = this.currents.at(-1)?.host_ns ?? null;
     this.rows = this.rows.filter((row) => row.t_s > last.t_s - SECONDS - 1);
     // Seconds before now.
     const origin = last.t_s;
@@ -147,8 +152,6 @@ export class Watch {
     this.theta.set([{ x, y: this.rows.map((row) => row.theta_deg?.[0] ?? null), sd: this.rows.map((row) => row.theta_deg?.[1] ?? 0), colour: css("--m3") }],
       [{ x: missed, colour: css("--miss"), shape: "tick" }, { x: gaps, colour: css("--gap"), shape: "flag" }]);
     this.tip.set(AXES.map((_, k) => ({ x, y: this.rows.map((row) => row.tip_mm?.[k] ?? null), colour: onPage(k), dash: [[], [5, 3], [2, 3]][k] })));
-    // Host's time and camera's stand to each other as in the last frame.
-    const shift = last.host_s === null ? null : last.t_s - last.host_s;
     this.coils.element.hidden = !(this.currents.length && shift !== null);
     if (!this.coils.element.hidden) {
       this.currents = this.currents.filter((sample) => sample.host_s + shift > last.t_s - SECONDS - 1);
