@@ -68,7 +68,7 @@ pub(crate) struct Failed {
 pub(crate) struct Hashes {
     /// Of the recording; of the names and hashes of its files, if it is a folder.
     pub(crate) recording: Option<String>,
-    /// Of the rig file; of the log, if the rig is the one attached to it.
+    /// Of the rig file's text, also when it is attached to a log.
     pub(crate) rig: Option<String>,
     /// Of [`RunSummary::options`] as JSON.
     pub(crate) options: Option<String>,

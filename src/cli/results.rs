@@ -4,6 +4,7 @@
 //! replaced; results of others, foreign files, and input files are never touched.
 
 use super::{Exit, Failure};
+use crate::atomic_file;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -19,6 +20,11 @@ pub(super) struct Owner {
     pub(super) command: String,
     /// Whole path of the recording, or of all of them.
     pub(super) recording: String,
+}
+
+/// The text of `run.toml` for a run as TOML. Write it in one step: half of it would not identify the folder.
+pub(super) fn origin(run: &str) -> String {
+    format!("# Origin of these results.\n{run}")
 }
 
 /// The absolute path of something that exists; unchanged when the system cannot resolve it.
@@ -147,7 +153,7 @@ impl Results<'_> {
         let text =
             toml::to_string(&run).map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         let path = self.folder.join(RUN);
-        fs::write(&path, format!("# Origin of these results.\n{text}")).map_err(|e| cannot(&path, e))
+        atomic_file::write(&path, origin(&text).as_bytes()).map_err(|e| cannot(&path, e))
     }
 }
 

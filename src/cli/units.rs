@@ -21,15 +21,22 @@ pub(super) fn frequency_hz(text: &str) -> Result<f64, String> {
     value.filter(|hz| *hz > 0.0).ok_or_else(|| format!("`{text}` is no frequency above 0: write for example 0.5Hz"))
 }
 
+const TIMES: &[(&str, f64)] = &[("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.0)];
+
 /// A time in seconds above 0; without a unit it is seconds.
 pub(super) fn duration_s(text: &str) -> Result<f64, String> {
-    let value = with_unit(text, &[("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.0)]);
+    let value = with_unit(text, TIMES);
     value.filter(|s| *s > 0.0).ok_or_else(|| format!("`{text}` is no time above 0: write for example 20ms or 300s"))
 }
 
 /// A time in seconds, or none: 0.
 pub(super) fn duration_or_none_s(text: &str) -> Result<f64, String> {
     if matches!(text.trim(), "0" | "0s" | "0ms") { Ok(0.0) } else { duration_s(text) }
+}
+
+/// A time in seconds that may be 0 or below.
+pub(super) fn signed_duration_s(text: &str) -> Result<f64, String> {
+    with_unit(text, TIMES).ok_or_else(|| format!("`{text}` is no time: write for example 20ms or -0.02"))
 }
 
 /// A time in plain seconds, exact to the nanosecond as stamps are; it may be below 0.
@@ -70,6 +77,7 @@ mod tests {
         assert_eq!([current_a("100mA"), current_a("0.1 A"), current_a("-50mA")], [Ok(0.1), Ok(0.1), Ok(-0.05)]);
         assert_eq!([frequency_hz("0.5Hz"), frequency_hz("8"), frequency_hz("500 mHz")], [Ok(0.5), Ok(8.0), Ok(0.5)]);
         assert_eq!([duration_s("20ms"), duration_s("5min"), duration_s("300")], [Ok(0.02), Ok(300.0), Ok(300.0)]);
+        assert_eq!([signed_duration_s("-5 ms"), signed_duration_s("0")], [Ok(-0.005), Ok(0.0)]);
         assert_eq!([slew_a_s("2A/s"), slew_a_s("0.5")], [Ok(2.0), Ok(0.5)]);
     }
 
@@ -81,6 +89,7 @@ mod tests {
         assert!(positive_current_a("0mA").unwrap_err().contains("above 0"));
         assert!(frequency_hz("-1Hz").is_err() && frequency_hz("0.5s").is_err());
         assert!(duration_s("0ms").is_err() && duration_s("1h").is_err());
+        assert!(signed_duration_s("2m").unwrap_err().contains("20ms"));
         assert!(slew_a_s("0").is_err() && slew_a_s("1V/s").is_err());
     }
 }

@@ -33,7 +33,15 @@ pub(crate) enum ExciteError {
         /// Samples per second.
         rate_hz: f64,
     },
-    /// A band that is empty or reversed.
+    /// A band from a higher frequency to a lower one.
+    #[error("the band goes from {from_hz} Hz down to {to_hz} Hz: give the lower frequency with --from")]
+    Reversed {
+        /// From.
+        from_hz: f64,
+        /// To.
+        to_hz: f64,
+    },
+    /// A band without a line.
     #[error(
         "the band {from_hz} to {to_hz} Hz holds no multiple of {step_hz} Hz, 1 over the period; widen it or lengthen \
          the period"

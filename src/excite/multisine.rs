@@ -51,11 +51,14 @@ impl Multisine {
     /// The signal at `rate`, and its number of sines.
     ///
     /// # Errors
-    /// [`ExciteError`] when a value is not positive, the rate too low, the band has no line, or the period is not a
-    /// whole number of samples.
+    /// [`ExciteError`] when a value is not positive, the rate too low, the band is reversed or has no line, or the
+    /// period is not a whole number of samples.
     pub(crate) fn signal(&self, rate: FrameRate) -> Result<(Signal, usize), ExciteError> {
         positive("amplitude", self.amplitude_a, "A")?;
         positive("period", self.period_s, "s")?;
+        if self.from_hz > self.to_hz {
+            return Err(ExciteError::Reversed { from_hz: self.from_hz, to_hz: self.to_hz });
+        }
         band(self.from_hz, self.to_hz, rate)?;
         let (exact, all) = (self.period_s * rate.hz(), samples(rate, self.duration_s)?);
         let one = samples(rate, self.period_s)?;
@@ -163,6 +166,10 @@ mod tests {
         );
         let band = message(Multisine { from_hz: 1.01, to_hz: 1.04, ..fits });
         assert!(band.contains("no multiple of 0.05 Hz"), "{band}");
+        assert_eq!(
+            message(Multisine { from_hz: 8.0, to_hz: 0.5, ..fits }),
+            "the band goes from 8 Hz down to 0.5 Hz: give the lower frequency with --from"
+        );
         assert!(message(Multisine { to_hz: 31.0, ..fits }).contains("stay below 30 Hz"));
     }
 }

@@ -99,7 +99,7 @@ pub(crate) fn bandwidth(
         before = f;
     }
     // A step of the grid is 0.6 %: bisected to the last digits, on the gain or on the phase unwrapped from the step's
-    // start.
+    // end.
     let frequency_hz = found.map(|(mut low, mut high)| {
         let level = |f: f64| match definition {
             Definition::ReDc | Definition::ReLowestExcited => reference * MINUS_3_DB - response(f).norm(),
@@ -112,7 +112,7 @@ pub(crate) fn bandwidth(
         0.5 * (low + high)
     });
     let outside = |f: f64| f < excited_hz.0 * (1.0 - 1e-9) || f > excited_hz.1;
-    // The first and the last refer to gain and phase at zero frequency.
+    // The gain at zero frequency is a reference; −45° is compared with nothing.
     let reference_outside = match definition {
         Definition::ReDc => excited_hz.0 > 0.0,
         Definition::ReLowestExcited | Definition::Phase45 => false,

@@ -19,6 +19,11 @@ pub(crate) fn optional_number(message: &DynamicMessage, field: &str) -> Option<i
     message.has_field_by_name(field).then(|| number(message, field)).flatten()
 }
 
+/// A whole number from 0; 0 when absent.
+pub(crate) fn whole(message: &DynamicMessage, field: &str) -> u64 {
+    number(message, field).and_then(|n| u64::try_from(n).ok()).unwrap_or(0)
+}
+
 /// A floating-point number.
 pub(crate) fn float(message: &DynamicMessage, field: &str) -> Option<f64> {
     message.get_field_by_name(field)?.as_f64()
@@ -41,4 +46,21 @@ pub(crate) fn inner(message: &DynamicMessage, field: &str) -> Option<DynamicMess
 pub(crate) fn xyz(message: &DynamicMessage, field: &str) -> Option<[f64; 3]> {
     let inner = inner(message, field)?;
     Some([float(&inner, "x")?, float(&inner, "y")?, float(&inner, "z")?])
+}
+
+/// The word of a nested status, unless absent.
+pub(crate) fn word(message: &DynamicMessage, field: &str) -> Option<String> {
+    text(&inner(message, field)?, "word")
+}
+
+/// Repeated numbers.
+pub(crate) fn floats(message: &DynamicMessage, field: &str) -> Vec<f64> {
+    let values = message.get_field_by_name(field);
+    values.as_deref().and_then(Value::as_list).unwrap_or(&[]).iter().filter_map(Value::as_f64).collect()
+}
+
+/// Repeated messages.
+pub(crate) fn list(message: &DynamicMessage, field: &str) -> Vec<DynamicMessage> {
+    let values = message.get_field_by_name(field);
+    values.as_deref().and_then(Value::as_list).unwrap_or(&[]).iter().filter_map(Value::as_message).cloned().collect()
 }

@@ -2,12 +2,12 @@
 //!
 //! Fields missing in a log of another version count as unknown.
 
-use super::fields::{float, inner, number, optional_number, text, xyz};
+use super::fields::{float, floats, inner, list, number, optional_number, text, whole, xyz};
 use super::schema::messages::{
     Angles, Band, Current, DriftAlarm, Estimate, Health, Marker, MissCount, Position, Status, Tangent, View,
 };
 use foxglove::messages::{Point2, Point3, Vector2, Vector3};
-use prost_reflect::{DynamicMessage, Value};
+use prost_reflect::DynamicMessage;
 
 /// Everything measured in one frame; `None` when it has no time.
 pub(crate) fn estimate(message: &DynamicMessage) -> Option<Estimate> {
@@ -149,20 +149,6 @@ fn status(message: &DynamicMessage, field: &str) -> Status {
     }
 }
 
-fn whole(message: &DynamicMessage, field: &str) -> u64 {
-    number(message, field).and_then(|n| u64::try_from(n).ok()).unwrap_or(0)
-}
-
 fn optional_float(message: &DynamicMessage, field: &str) -> Option<f64> {
     message.has_field_by_name(field).then(|| float(message, field)).flatten()
-}
-
-pub(crate) fn floats(message: &DynamicMessage, field: &str) -> Vec<f64> {
-    let values = message.get_field_by_name(field);
-    values.as_deref().and_then(Value::as_list).unwrap_or(&[]).iter().filter_map(Value::as_f64).collect()
-}
-
-fn list(message: &DynamicMessage, field: &str) -> Vec<DynamicMessage> {
-    let values = message.get_field_by_name(field);
-    values.as_deref().and_then(Value::as_list).unwrap_or(&[]).iter().filter_map(Value::as_message).cloned().collect()
 }

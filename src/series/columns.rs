@@ -4,6 +4,9 @@ use super::SeriesError;
 use super::sheet::Sheet;
 use std::path::Path;
 
+/// Values of three columns.
+pub(crate) type Three = [Vec<Option<f64>>; 3];
+
 /// Columns of the table at `path`, in the requested order, one entry per row; `None` where a cell is empty or `nan`.
 ///
 /// The header is optional. A column is given by its name in the header or by its number, from 1 (names take
@@ -17,7 +20,29 @@ pub fn columns(path: &Path, names: &[&str]) -> Result<Vec<Vec<Option<f64>>>, Ser
     let sheet = Sheet::read(path)?;
     sheet.check_row_widths()?;
     let wanted = names.iter().map(|name| sheet.column(name)).collect::<Result<Vec<_>, _>>()?;
-    wanted.into_iter().map(|column| sheet.rows.iter().map(|row| sheet.number(row, column)).collect()).collect()
+    wanted.into_iter().map(|column| values(&sheet, column)).collect()
+}
+
+/// Three columns, and three more that the table has all or none of.
+///
+/// # Errors
+/// As [`columns`].
+pub(crate) fn columns_and(
+    path: &Path,
+    names: [&str; 3],
+    more: [&str; 3],
+) -> Result<(Three, Option<Three>), SeriesError> {
+    let sheet = Sheet::read(path)?;
+    sheet.check_row_widths()?;
+    let three = |[a, b, c]: [usize; 3]| -> Result<Three, SeriesError> {
+        Ok([values(&sheet, a)?, values(&sheet, b)?, values(&sheet, c)?])
+    };
+    let [a, b, c] = names.map(|name| sheet.column(name));
+    Ok((three([a?, b?, c?])?, sheet.all_of(more)?.map(three).transpose()?))
+}
+
+fn values(sheet: &Sheet, column: usize) -> Result<Vec<Option<f64>>, SeriesError> {
+    sheet.rows.iter().map(|row| sheet.number(row, column)).collect()
 }
 
 #[cfg(test)]

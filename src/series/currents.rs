@@ -49,6 +49,13 @@ pub struct CurrentTable {
     pub rows: Vec<CurrentRow>,
 }
 
+/// Camera times of the rows, from ticks.
+struct Ticked {
+    times_ns: Vec<i64>,
+    /// Whether ticks give the first time alone.
+    start_only: bool,
+}
+
 impl CurrentTable {
     /// Reads a table of text, see [`CurrentTable::read`].
     pub(super) fn of_sheet(path: &Path) -> Result<Self, SeriesError> {
@@ -103,7 +110,7 @@ impl CurrentTable {
             );
             return Err(SeriesError::Content { path: self.path.clone(), problem });
         }
-        if let Some(times_ns) = self.by_ticks(recording, start_ns)? {
+        if let Some(Ticked { times_ns, .. }) = self.by_ticks(recording, start_ns)? {
             let current = |(row, ns): (&CurrentRow, i64)| Current {
                 host_ns: None,
                 stamp_ns: Some(ns),
@@ -139,7 +146,7 @@ impl CurrentTable {
 
     /// Camera times of the rows by the recording's ticks: if times count from a start that is not given. If the count
     /// resolves the commands, each row gets the time at which it was taken; otherwise the first tick is the start.
-    fn by_ticks(&self, recording: &Recording, start_ns: Option<i64>) -> Result<Option<Vec<i64>>, SeriesError> {
+    fn by_ticks(&self, recording: &Recording, start_ns: Option<i64>) -> Result<Option<Ticked>, SeriesError> {
         if self.clock != CurrentClock::Start || start_ns.is_some() {
             return Ok(None);
         }
@@ -149,7 +156,8 @@ impl CurrentTable {
         let closest = pairs.map(|(a, b)| b.time_ns.saturating_sub(a.time_ns)).min().unwrap_or(i64::MAX);
         if !ticks.resolves(closest) {
             let shift = tick_ns.saturating_sub(first.time_ns);
-            return Ok(Some(self.rows.iter().map(|row| row.time_ns.saturating_add(shift)).collect()));
+            let times_ns = self.rows.iter().map(|row| row.time_ns.saturating_add(shift)).collect();
+            return Ok(Some(Ticked { times_ns, start_only: true }));
         }
         if ticks.times_ns.len() != self.rows.len() {
             let problem = format!(
@@ -161,16 +169,25 @@ impl CurrentTable {
             );
             return Err(SeriesError::Content { path: self.path.clone(), problem });
         }
-        Ok(Some(ticks.times_ns))
+        Ok(Some(Ticked { times_ns: ticks.times_ns, start_only: false }))
     }
 
     /// What is assumed about the table's times for this recording, in words.
     pub fn assumption(&self, recording: &Recording, start_ns: Option<i64>) -> Option<String> {
-        let ticked = recording.frames.iter().any(|frame| frame.tick.is_some());
-        match (self.clock, start_ns) {
-            (CurrentClock::Start, None) if ticked => {
-                Some("commands have the times at which the frames' tick counts them".to_owned())
+        match self.by_ticks(recording, start_ns) {
+            Ok(Some(Ticked { start_only: false, .. })) => {
+                return Some("commands have the times at which the frames' tick counts them".to_owned());
             }
+            Ok(Some(Ticked { start_only: true, .. })) => {
+                let words = "the first command has the time at which the frames' tick first changes, the others follow \
+                    as in the table: they are too close for the tick to count them";
+                return Some(words.to_owned());
+            }
+            // Nothing is assumed where the currents have no times.
+            Err(_) => return None,
+            Ok(None) => {}
+        }
+        match (self.clock, start_ns) {
             (CurrentClock::Host, _) => {
                 Some("host's times, late by the least delay from exposure to arrival".to_owned())
             }

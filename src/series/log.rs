@@ -3,13 +3,16 @@
 use super::{Current, Frame, Place, Recording, SeriesError};
 use crate::log::LogError;
 use crate::log::decoder::MessageDecoder;
-use crate::log::fields::{float, inner, number, optional_number, text, xyz};
+use crate::log::fields::{float, floats, inner, list, number, optional_number, text, whole, word, xyz};
 use crate::log::records;
 use crate::log::schema::Topic;
+use crate::plural::plural;
 use crate::sink::OutputFrame;
 use mcap::records::Record;
 use nalgebra::{Point3, Vector3};
-use prost_reflect::{DynamicMessage, Value};
+use prost_reflect::DynamicMessage;
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Reads the log at `path`, as far as it goes if it was cut off.
@@ -24,7 +27,8 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     }
     let cut = condition.summary().or(reader.undecoded);
     // All positions are in one frame of reference: the base, if the rig had one.
-    let Reader { clock, markers, frames, currents, in_base, .. } = reader;
+    let Reader { clock, markers, frames, mut currents, in_base, .. } = reader;
+    leave_out_odd(&mut currents, path);
     let reference = if in_base { OutputFrame::Base } else { OutputFrame::Camera };
     let mut recording = Recording {
         path: path.to_owned(),
@@ -79,9 +83,7 @@ impl Reader {
     }
 
     fn estimate(&mut self, message: &DynamicMessage) {
-        let markers = message.get_field_by_name("markers");
-        let markers: Vec<&DynamicMessage> =
-            markers.as_deref().and_then(Value::as_list).unwrap_or(&[]).iter().filter_map(Value::as_message).collect();
+        let markers = list(message, "markers");
         let angles = inner(message, "deflection");
         let tangent = inner(message, "tangent");
         if self.frames.is_empty() {
@@ -91,16 +93,15 @@ impl Reader {
         if !self.in_base && in_base(&markers, tangent.as_ref()) {
             self.in_base = true;
         }
-        let whole = |field: &str| number(message, field).and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
         self.frames.push(Frame {
-            seq: whole("seq"),
+            seq: whole(message, "seq"),
             stamp_ns: number(message, "stamp_ns").unwrap_or(0),
             host_ns: optional_number(message, "host_stamp_ns"),
-            gap: whole("gap"),
+            gap: whole(message, "gap"),
             theta_rad: angles.as_ref().and_then(|angles| float(angles, "theta_rad")),
             theta_sd_rad: angles.as_ref().and_then(|angles| float(angles, "theta_sd_rad")),
             theta_status: word(message, "deflection_status"),
-            places: markers.iter().map(|marker| place(marker)).collect(),
+            places: markers.iter().map(place).collect(),
             tangent: tangent
                 .as_ref()
                 .and_then(|tangent| xyz(tangent, "in_base").or_else(|| xyz(tangent, "in_camera")))
@@ -111,9 +112,9 @@ impl Reader {
     }
 }
 
-fn in_base(markers: &[&DynamicMessage], tangent: Option<&DynamicMessage>) -> bool {
+fn in_base(markers: &[DynamicMessage], tangent: Option<&DynamicMessage>) -> bool {
     let has = |message: &DynamicMessage, field: &str| message.has_field_by_name(field);
-    let place = |marker: &&DynamicMessage| inner(marker, "position").is_some_and(|place| has(&place, "in_base_m"));
+    let place = |marker: &DynamicMessage| inner(marker, "position").is_some_and(|place| has(&place, "in_base_m"));
     markers.iter().any(place) || tangent.is_some_and(|tangent| has(tangent, "in_base"))
 }
 
@@ -128,15 +129,19 @@ fn place(marker: &DynamicMessage) -> Place {
 }
 
 fn current(message: &DynamicMessage) -> Current {
-    let values = message.get_field_by_name("current_a");
-    let values = values.as_deref().and_then(Value::as_list).unwrap_or(&[]);
-    Current {
-        host_ns: number(message, "host_ns"),
-        stamp_ns: None,
-        values_a: values.iter().filter_map(Value::as_f64).collect(),
-    }
+    Current { host_ns: number(message, "host_ns"), stamp_ns: None, values_a: floats(message, "current_a") }
 }
 
-fn word(message: &DynamicMessage, field: &str) -> Option<String> {
-    text(&inner(message, field)?, "word")
+/// Leaves out samples with another number of coils than most have; of two such numbers, the smaller is kept.
+fn leave_out_odd(currents: &mut Vec<Current>, path: &Path) {
+    let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
+    for current in &*currents {
+        *counts.entry(current.values_a.len()).or_default() += 1;
+    }
+    let usual = counts.iter().max_by_key(|(coils, count)| (**count, Reverse(**coils)));
+    let Some((&coils, &count)) = usual.filter(|_| counts.len() > 1) else { return };
+    let odd = plural((currents.len() - count) as u64, "sample");
+    let usual = plural(coils as u64, "coil");
+    tracing::warn!("{}: {odd} of currents left out: not of {usual}, as most are", path.display());
+    currents.retain(|current| current.values_a.len() == coils);
 }

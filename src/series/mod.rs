@@ -2,9 +2,9 @@
 //!
 //! In: a log (`.mcap`) or a table (`.csv`) of this program ([`Recording::read`]), columns of any table of numbers
 //! ([`columns`]), tables of coil currents ([`CurrentTable::read`]). Out: series in SI units and radians, each frame
-//! once and in order, with the reason where something was not measured. Nothing is interpolated, sorted, or left out
-//! here; of a frame that a person has vetoed (`vetoes.csv` beside the file) only the time remains, with the reason
-//! `vetoed`.
+//! once and in order, with the reason where something was not measured. Nothing is interpolated or sorted here, and
+//! only samples of currents with another number of coils than most are left out; of a frame that a person has vetoed
+//! (`vetoes.csv` beside the file) only the time remains, with the reason `vetoed`.
 //!
 //! Logs that were cut off are read as far as they go, and [`Recording::cut`] says so. A table does not state its clock
 //! or, without its `run.toml` beside it, the frame of reference of its positions.
@@ -25,6 +25,7 @@ mod ticks;
 pub use crate::vetoes::VetoError;
 pub use clocks::ClockMap;
 pub use columns::columns;
+pub(crate) use columns::{Three, columns_and};
 pub use currents::{CurrentClock, CurrentRow, CurrentTable};
 pub use error::SeriesError;
 pub use ticks::Ticks;
@@ -48,7 +49,7 @@ pub struct Recording {
     pub markers: Vec<String>,
     /// The frames in order.
     pub frames: Vec<Frame>,
-    /// Coil currents in order; a table has none.
+    /// Coil currents in order, all of as many coils; a table has none.
     pub currents: Vec<Current>,
     /// Why part of the file is missing, if it ends early or is damaged; the rest is here.
     pub cut: Option<String>,
@@ -160,6 +161,19 @@ impl Recording {
                 *place = Place { point: None, sd_m: None, status: VETOED.to_owned() };
             }
         }
+    }
+
+    /// Checks that positions and tangents are not known to be in the camera frame.
+    ///
+    /// # Errors
+    /// When they are; the error says how to get others.
+    pub fn in_base_frame(&self) -> Result<(), SeriesError> {
+        if self.reference != Some(OutputFrame::Camera) {
+            return Ok(());
+        }
+        let problem = "its positions and tangents are in the camera frame, and needed in the base frame: track it \
+            again with a rig that has a [base], and without `--frame camera`";
+        Err(SeriesError::Content { path: self.path.clone(), problem: problem.to_owned() })
     }
 
     /// Index of the marker `name` in [`Frame::places`].

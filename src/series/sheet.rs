@@ -116,6 +116,13 @@ impl Sheet {
         }))
     }
 
+    /// Indices of columns that belong together; `None` when there is none of them.
+    pub(super) fn all_of(&self, names: [&str; 3]) -> Result<Option<[usize; 3]>, SeriesError> {
+        let Some(there) = names.into_iter().find(|name| self.find(name).is_some()) else { return Ok(None) };
+        let column = |name: &str| self.find(name).ok_or_else(|| self.wrong(format!("has {there}, but no {name}")));
+        Ok(Some([column(names[0])?, column(names[1])?, column(names[2])?]))
+    }
+
     /// A cell as a whole number, exactly.
     pub(super) fn integer(&self, row: &Row, column: usize) -> Result<i64, SeriesError> {
         let cell = row.cells.get(column).map_or("", String::as_str);

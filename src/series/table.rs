@@ -39,7 +39,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
             "has nothing that was measured: expected a column theta_deg, or a place as tip_x_mm, tip_y_mm, tip_z_mm";
         return Err(sheet.wrong(format!("{expected}{}", there(&sheet))));
     }
-    let tangent = all_of(&sheet, columns::TANGENT)?;
+    let tangent = sheet.all_of(columns::TANGENT)?;
     let others = [columns::THETA_SD_DEG, columns::TANGENT_SD_DEG, columns::SEQ, columns::GAP, columns::TICK];
     let [theta_sd, tangent_sd, seq, gap, tick] = others.map(|name| sheet.find(name));
     let angle = |row: &Row, column: Option<usize>| -> Result<Option<f64>, SeriesError> {
@@ -106,15 +106,6 @@ fn there(sheet: &Sheet) -> String {
     sheet.header.as_ref().map_or("; it has no header".to_owned(), |names| format!("; it has {}", names.join(", ")))
 }
 
-/// Columns that belong together; `None` when the first is missing.
-fn all_of(sheet: &Sheet, names: [&str; 3]) -> Result<Option<[usize; 3]>, SeriesError> {
-    if sheet.find(names[0]).is_none() {
-        return Ok(None);
-    }
-    let column = |name: &str| sheet.find(name).ok_or_else(|| sheet.wrong(format!("has {}, but no {name}", names[0])));
-    Ok(Some([column(names[0])?, column(names[1])?, column(names[2])?]))
-}
-
 fn markers(sheet: &Sheet) -> Result<Vec<Marker>, SeriesError> {
     let mut markers = Vec::new();
     for column in sheet.header.iter().flatten() {
@@ -124,7 +115,7 @@ fn markers(sheet: &Sheet) -> Result<Vec<Marker>, SeriesError> {
             continue;
         };
         let named = columns::PLACE_MM.map(|axis| format!("{prefix}{axis}"));
-        let Some(xyz) = all_of(sheet, named.each_ref().map(String::as_str))? else { continue };
+        let Some(xyz) = sheet.all_of(named.each_ref().map(String::as_str))? else { continue };
         let name = prefix.strip_suffix('_').unwrap_or(UNNAMED).to_owned();
         let [sd, status] = [columns::PLACE_SD_MM, columns::PLACE_STATUS].map(|of| sheet.find(&format!("{prefix}{of}")));
         markers.push(Marker { name, xyz, sd, status });

@@ -14,10 +14,10 @@ use super::{
     Quantisation, Range, SourceError, Span, StreamFaults, Timestamp, Transfer, Window,
 };
 use crate::log::decoder::MessageDecoder;
-use crate::log::fields::{number, text};
+use crate::log::fields::{floats, list, number, text};
 use crate::log::records::Records;
 use crate::log::schema::{Topic, WINDOW_FORMAT};
-use crate::log::typed::{self, floats};
+use crate::log::typed;
 use image::codecs::png::PngDecoder;
 use image::{ColorType, ImageDecoder as _, Limits};
 use mcap::records::Record;
@@ -390,12 +390,6 @@ fn samples(png: &[u8], (width, height): (u32, u32)) -> Result<Vec<u8>, String> {
     let mut samples = vec![0; width as usize * height as usize];
     decoder.read_image(&mut samples).map_err(|e| e.to_string())?;
     Ok(samples)
-}
-
-fn list(message: &DynamicMessage, field: &str) -> Vec<DynamicMessage> {
-    let field = message.get_field_by_name(field);
-    let all = field.as_deref().and_then(Value::as_list).unwrap_or_default();
-    all.iter().filter_map(|value| value.as_message().cloned()).collect()
 }
 
 #[cfg(test)]

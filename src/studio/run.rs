@@ -2,14 +2,14 @@
 
 use super::Refusal;
 use crate::log::decoder::MessageDecoder;
-use crate::log::fields::{float, inner, number, text, xyz};
+use crate::log::fields::{float, floats, inner, list, number, text, whole, word, xyz};
 use crate::log::records;
 use crate::log::schema::{LOG_FILE, RIG_ATTACHMENT, TABLE_FILE, Topic};
 use crate::rig::Rig;
 use crate::series::Recording;
 use mcap::records::Record;
 use nalgebra::Point3;
-use prost_reflect::{DynamicMessage, Value};
+use prost_reflect::DynamicMessage;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
@@ -196,19 +196,15 @@ impl Run {
             let views = markers.first().map(|m| list(m, "views")).unwrap_or_default();
             self.views = views.iter().map(|view| text(view, "name").unwrap_or_default()).collect();
         }
-        let word = |message: &DynamicMessage, field: &str| {
-            inner(message, field).and_then(|status| text(&status, "word")).unwrap_or_default()
-        };
         let angles = inner(message, "deflection");
-        let whole = |field: &str| number(message, field).and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
         let position = |m: &DynamicMessage| inner(m, "position");
         self.rows.push(Row {
-            seq: whole("seq"),
+            seq: whole(message, "seq"),
             stamp_ns: number(message, "stamp_ns").unwrap_or(0),
-            gap: whole("gap"),
+            gap: whole(message, "gap"),
             theta: angles.and_then(|angles| Some((float(&angles, "theta_rad")?, float(&angles, "theta_sd_rad")?))),
-            theta_status: word(message, "deflection_status"),
-            statuses: markers.iter().map(|m| word(m, "status")).collect(),
+            theta_status: word(message, "deflection_status").unwrap_or_default(),
+            statuses: markers.iter().map(|m| word(m, "status").unwrap_or_default()).collect(),
             places: markers.iter().map(|m| Some(Point3::from(xyz(&position(m)?, "in_camera_m")?))).collect(),
             sd_m: markers.iter().map(|m| float(&position(m)?, "sd_m")).collect(),
             bands: markers
@@ -239,9 +235,8 @@ impl Run {
 fn seen(band: &DynamicMessage) -> Seen {
     let pair =
         |field: &str| inner(band, field).and_then(|p| Some([float(&p, "x")?, float(&p, "y")?])).unwrap_or_default();
-    let covariance = band.get_field_by_name("covariance_px2");
-    let covariance = covariance.as_deref().and_then(Value::as_list).unwrap_or(&[]);
-    let entry = |i: usize| covariance.get(i).and_then(Value::as_f64).unwrap_or(f64::NAN);
+    let covariance = floats(band, "covariance_px2");
+    let entry = |i: usize| covariance.get(i).copied().unwrap_or(f64::NAN);
     let [rx, ry] = pair("residual_px");
     Seen {
         centre_px: pair("centre_px").map(|v| v as f32),
@@ -250,12 +245,6 @@ fn seen(band: &DynamicMessage) -> Seen {
         separation: float(band, "separation").unwrap_or(f64::NAN) as f32,
         outline_px: Vec::new(),
     }
-}
-
-fn list(message: &DynamicMessage, field: &str) -> Vec<DynamicMessage> {
-    let values = message.get_field_by_name(field);
-    let values = values.as_deref().and_then(Value::as_list).unwrap_or(&[]);
-    values.iter().filter_map(Value::as_message).cloned().collect()
 }
 
 /// When its files were written.

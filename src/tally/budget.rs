@@ -7,7 +7,8 @@
 //!   (`crate::calibrate::rig::share`).
 //! - *base frame*: σ of its origin and axes, as `calibrate base` recorded them.
 //! - *time stamps*: their resolution (the largest step that all stamps are multiples of), uniformly distributed, times
-//!   the RMS speed. It matters for dynamics, not for positions. Unknown for stamps that are arrival times.
+//!   the RMS speed. It matters for dynamics, not for positions. Unknown for stamps that are arrival times, and where
+//!   that step is the frame interval itself, as in 20 ms at 50 fps.
 //!
 //! Cannot tell: errors that no σ covers, such as a moved mirror, or places outside the boards' volume.
 
@@ -43,8 +44,11 @@ pub(super) struct BudgetData {
     seen: u64,
     /// Stamp, θ and tip of the previous frame.
     last: Option<(i64, f64, Vector3<f64>)>,
+    before_ns: Option<i64>,
+    /// Largest step that all stamps are multiples of, counted from the first.
     step_ns: u64,
-    first_ns: Option<i64>,
+    /// Shortest time from a frame to the next.
+    shortest_ns: Option<u64>,
     /// Sums of squared speeds of θ and of the tip, less the part of noise; their number.
     speeds: (f64, f64, u64),
 }
@@ -63,9 +67,17 @@ impl BudgetData {
         self.tip
     }
 
+    fn stamp(&mut self, ns: i64) {
+        let apart_ns = ns.abs_diff(self.before_ns.replace(ns).unwrap_or(ns));
+        if apart_ns > 0 {
+            self.step_ns = common(self.step_ns, apart_ns);
+            self.shortest_ns = Some(self.shortest_ns.map_or(apart_ns, |shortest| shortest.min(apart_ns)));
+        }
+    }
+
     pub(super) fn add(&mut self, estimate: &Estimate) {
         let ns = estimate.stamp.ns;
-        self.step_ns = common(self.step_ns, ns.abs_diff(*self.first_ns.get_or_insert(ns)));
+        self.stamp(ns);
         let place = |marker: usize| estimate.markers.get(marker)?.position.as_ref().ok();
         let (Some(coil), Some(tip), Ok(tangent), Ok(deflection)) =
             (place(self.coil), place(self.tip), &estimate.tangent, &estimate.deflection)
@@ -133,6 +145,10 @@ impl BudgetData {
         if count == 0 {
             return Err("no two frames in sequence are answered".to_owned());
         }
+        if self.shortest_ns.is_some_and(|shortest| self.step_ns >= shortest.div_ceil(2)) {
+            let why = "all stamps are multiples of the frame interval: their resolution does not show";
+            return Err(why.to_owned());
+        }
         let rms = |sum: f64| (sum / count as f64).max(0.0).sqrt();
         let sd_s = self.step_ns as f64 * 1e-9 / 12.0_f64.sqrt();
         Ok((rms(theta) * sd_s, rms(tip) * sd_s))
@@ -155,11 +171,27 @@ fn common(a: u64, b: u64) -> u64 {
 mod tests {
     use super::*;
 
+    fn data(stamps: &[i64]) -> BudgetData {
+        let mut data = BudgetData { speeds: (1.0, 4.0, 1), ..BudgetData::default() };
+        stamps.iter().for_each(|ns| data.stamp(*ns));
+        data
+    }
+
     #[test]
     fn the_step_of_stamps_is_what_all_are_multiples_of() {
-        let of = |stamps: &[u64]| stamps.iter().fold(0, |step, ns| common(step, *ns));
-        assert_eq!(of(&[17_000_000, 33_000_000, 50_000_000, 67_000_000]), 1_000_000);
-        assert_eq!((of(&[0, 0]), of(&[40, 100]), of(&[16_666_667, 33_333_333])), (0, 20, 1));
+        let of = |stamps: &[i64]| data(stamps).step_ns;
+        assert_eq!(of(&[7_000_000, 24_000_000, 40_000_000, 57_000_000]), 1_000_000);
+        assert_eq!((of(&[5, 5]), of(&[0, 40, 100]), of(&[0, 16_666_667, 33_333_333])), (0, 20, 1));
+    }
+
+    #[test]
+    fn stamps_as_regular_as_the_frames_do_not_show_their_resolution() {
+        let of = |stamps: &[i64]| data(stamps).of_stamps("container");
+        let (theta_rad, tip_m) = of(&[0, 17_000_000, 33_000_000, 50_000_000]).unwrap();
+        assert!((theta_rad - 1e-3 / 12.0_f64.sqrt()).abs() < 1e-9 && (tip_m - 2.0 * theta_rad).abs() < 1e-9);
+        // 50 frames per second, of which two are lost.
+        let regular = of(&[3_000_000, 23_000_000, 83_000_000, 103_000_000]).unwrap_err();
+        assert_eq!(regular, "all stamps are multiples of the frame interval: their resolution does not show");
     }
 
     #[test]

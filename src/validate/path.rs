@@ -3,10 +3,12 @@
 use super::circle::Circle;
 use super::error::ValidateError;
 use super::plane::Plane;
-use crate::series::{SeriesError, columns};
+use crate::series::{Three, columns_and};
 use nalgebra::{Point3, Vector3};
 use std::path::{Path, PathBuf};
 
+const PLACE: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
+const DIRECTION: [&str; 3] = ["tan_x", "tan_y", "tan_z"];
 const M_PER_MM: f64 = 1e-3;
 /// More than an hour at 1 ms.
 const MAX_COMMANDS: usize = 4_000_000;
@@ -47,20 +49,19 @@ impl DesiredPath {
     /// differ.
     pub(crate) fn read(file: &Path, per_period: Option<usize>, periods: Option<usize>) -> Result<Self, ValidateError> {
         let wrong = |problem: String| ValidateError::Path { path: file.to_owned(), problem };
-        let mut points: Vec<Point3<f64>> =
-            vectors(file, ["x_mm", "y_mm", "z_mm"])?.into_iter().map(|mm| Point3::from(mm * M_PER_MM)).collect();
-        let mut tangents = match vectors(file, ["tan_x", "tan_y", "tan_z"]) {
-            Ok(rows) => Some(
-                rows.into_iter().map(|row| row.try_normalize(1e-6)).collect::<Option<Vec<_>>>().ok_or_else(|| {
-                    wrong(
-                        "a direction tan_x, tan_y, tan_z is zero; leave the columns out if it is not known".to_owned(),
-                    )
-                })?,
-            ),
-            // Without these columns the directions are unknown.
-            Err(ValidateError::Series(SeriesError::Content { .. })) => None,
-            Err(other) => return Err(other),
+        let (places, directions) = columns_and(file, PLACE, DIRECTION)?;
+        let whole = |names: [&str; 3], values: Three| {
+            vectors(values).map_err(|row| wrong(format!("point {row}: a value of {} is missing", names.join(", "))))
         };
+        let mut points: Vec<Point3<f64>> =
+            whole(PLACE, places)?.into_iter().map(|mm| Point3::from(mm * M_PER_MM)).collect();
+        let directions = directions.map(|values| whole(DIRECTION, values)).transpose()?;
+        let unit = |rows: Vec<Vector3<f64>>| {
+            rows.into_iter().map(|row| row.try_normalize(1e-6)).collect::<Option<Vec<_>>>().ok_or_else(|| {
+                wrong("a direction tan_x, tan_y, tan_z is zero; leave the columns out if it is not known".to_owned())
+            })
+        };
+        let mut tangents = directions.map(unit).transpose()?;
         let rows = points.len();
         let length = per_period.unwrap_or(rows);
         if length < 3 {
@@ -137,19 +138,10 @@ impl DesiredPath {
     }
 }
 
-/// Rows of three columns, none missing.
-fn vectors(file: &Path, names: [&str; 3]) -> Result<Vec<Vector3<f64>>, ValidateError> {
-    let read = columns(file, &names)?;
-    let [x, y, z] = read.as_slice() else { return Ok(Vec::new()) };
-    let rows = x.iter().zip(y).zip(z).enumerate();
-    rows.map(|(k, ((x, y), z))| match (x, y, z) {
-        (Some(x), Some(y), Some(z)) => Ok(Vector3::new(*x, *y, *z)),
-        _ => Err(ValidateError::Path {
-            path: file.to_owned(),
-            problem: format!("point {}: a value of {} is missing", k + 1, names.join(", ")),
-        }),
-    })
-    .collect()
+/// The rows of three columns; the number of the first that is not whole, from 1, if there is one.
+fn vectors([x, y, z]: Three) -> Result<Vec<Vector3<f64>>, usize> {
+    let rows = (1_usize..).zip(x.into_iter().zip(y).zip(z));
+    rows.map(|(row, ((x, y), z))| Ok(Vector3::new(x.ok_or(row)?, y.ok_or(row)?, z.ok_or(row)?))).collect()
 }
 
 /// The path's circle, if it is one.

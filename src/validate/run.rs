@@ -13,7 +13,6 @@ use super::settling::Settling;
 use super::start_time::{self, StartFrom};
 use super::step::Step;
 use crate::series::{Frame, Recording};
-use crate::sink::OutputFrame;
 use crate::source::times::seconds;
 use crate::vetoes::VETOED;
 use nalgebra::{Point3, Vector3};
@@ -275,10 +274,7 @@ struct Marked {
 fn marked(recording: &Recording, options: &Options) -> Result<Marked, ValidateError> {
     let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
     in_order(&recording.frames).map_err(wrong)?;
-    if recording.reference == Some(OutputFrame::Camera) {
-        let advice = "track it again with a rig that has a [base], and without `--frame camera`";
-        return Err(wrong(format!("its positions are in the camera frame, the path is in the base frame: {advice}")));
-    }
+    recording.in_base_frame()?;
     let marker = marker(recording, options)?;
     let name = recording.markers.get(marker).cloned().unwrap_or_default();
     let samples: Vec<Sample> = recording

@@ -67,7 +67,8 @@ impl Settling {
         self.is_unsettled().then(|| {
             format!(
                 "the motion has not become periodic: from one period to the next it still changes by {:.0} % of its \
-                 size, so its magnitude is too large{last}; command more periods and leave out more with --skip",
+                 size, so its magnitude is not that of the steady response{last}; command more periods and leave out \
+                 more with --skip",
                 100.0 * self.change_m / self.size_m
             )
         })

@@ -128,7 +128,13 @@ fn what_both_planes_cannot_be_told_from_is_refused() {
         assert!(matches!(output.status.code(), Some(2 | 3)) && printed.contains(what), "{printed}");
     };
     refused(&identify(&["--nk", "0"]), "a current cannot act before it flows");
-    refused(&identify(&["--plant", "plant.toml"]), "cannot be used with");
+    refused(&identify(&["--nk", "2:5"]), "the delay is not searched");
+    for other in [&["--plant", "plant.toml"][..], &["--detrend", "linear"], &["--nb", "3"], &["--match-dc"]] {
+        refused(&identify(other), "cannot be used with");
+    }
+    std::fs::write(folder.path().join("run.toml"), "frame = \"camera\"\n").unwrap();
+    refused(&identify(&[]), "tangents are in the camera frame");
+    std::fs::remove_file(folder.path().join("run.toml")).unwrap();
     // The currents step together.
     refused(&identify(&["--order", "6"]), "do not tell the coils apart");
     assert!(!folder.path().join("out").exists());

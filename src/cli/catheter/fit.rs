@@ -128,9 +128,7 @@ impl FitArgs {
         if let Some(why) = &recording.cut {
             tracing::warn!("{}: not all of it can be read: {why}", file.display());
         }
-        if recording.reference == Some(crate::sink::OutputFrame::Camera) {
-            return Err(wrong("its positions are in the camera frame; track it without `--frame camera`"));
-        }
+        recording.in_base_frame()?;
         let (coil, tip) = (recording.marker("coil")?, recording.marker("tip")?);
         let mut commands: Vec<(i64, Vec<f64>)> = Vec::new();
         let coils = match table {

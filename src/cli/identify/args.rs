@@ -3,7 +3,7 @@
 use crate::cli::Failure;
 use crate::cli::outcome::HiddenJson;
 use crate::cli::results::Results;
-use crate::cli::units::duration_s;
+use crate::cli::units::{duration_s, signed_duration_s};
 use crate::identify::Repeats;
 use crate::identify::export;
 use crate::identify::fit::InitialState;
@@ -24,6 +24,30 @@ const ORDERS: RangeInclusive<usize> = 1..=20;
 /// Fewest samples per coefficient of a searched model.
 const SAMPLES_PER_COEFFICIENT: usize = 10;
 
+/// Options of the models of one plane.
+const NOT_WITH_PLANES: [&str; 20] = [
+    "plant",
+    "coil",
+    "input",
+    "period",
+    "train",
+    "test",
+    "detrend",
+    "decimate",
+    "resample",
+    "bridge",
+    "na",
+    "nb",
+    "select",
+    "estimator",
+    "start",
+    "match_dc",
+    "all_frequencies",
+    "bootstrap",
+    "repeats",
+    "model",
+];
+
 /// Arguments of `catoptra identify`. There are many: each has one line of help.
 #[derive(Debug, clap::Args)]
 #[command(hide_possible_values = true)]
@@ -41,7 +65,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "output")]
     pub(super) coil: usize,
     /// Both angles from all coils: motion that leaves the plane of B0
-    #[arg(long, conflicts_with_all = ["plant", "input", "train", "test", "decimate", "resample", "na", "select", "repeats", "model"])]
+    #[arg(long, conflicts_with_all = NOT_WITH_PLANES)]
     pub(super) planes: bool,
     /// Commands act this much later; `auto`: as estimated
     #[arg(long, value_name = "T|auto", default_value = "0", allow_hyphen_values = true, conflicts_with = "output")]
@@ -138,10 +162,7 @@ impl std::str::FromStr for DelayArg {
         if text == "auto" {
             return Ok(Self::Auto);
         }
-        let seconds = text.strip_suffix('s').unwrap_or(text);
-        let (number, scale) = seconds.strip_suffix('m').map_or((seconds, 1.0), |ms| (ms, 1e-3));
-        let value = number.parse::<f64>().ok().filter(|v| v.is_finite());
-        value.map(|v| Self::Given(v * scale)).ok_or_else(|| format!("`{text}` is no time: write 20ms, 0.02 or auto"))
+        signed_duration_s(text).map(Self::Given).map_err(|why| format!("{why}, or auto"))
     }
 }
 
@@ -322,8 +343,15 @@ impl Args {
     }
 
     /// Delay with `--planes`, samples.
-    pub(super) fn planes_delay(&self) -> usize {
-        self.nk.map_or(1, |span| span.from)
+    pub(super) fn planes_delay(&self) -> Result<usize, Failure> {
+        match self.nk {
+            None => Ok(1),
+            Some(Span { from, to }) if from == to => Ok(from),
+            Some(Span { from, to }) => {
+                let text = format!("--nk {from}:{to}: with --planes the delay is not searched; give one number");
+                Err(Failure::usage(text))
+            }
+        }
     }
 
     /// States for each angle with `--planes`; `None` for as few as do.
@@ -402,7 +430,8 @@ mod tests {
         assert!("30:1".parse::<Span>().is_err() && "-1".parse::<Span>().is_err());
         assert_eq!("20ms".parse(), Ok(DelayArg::Given(0.02)));
         assert_eq!("-0.5".parse(), Ok(DelayArg::Given(-0.5)));
-        assert!("soon".parse::<DelayArg>().is_err() && "nan".parse::<DelayArg>().is_err());
+        assert!("2m".parse::<DelayArg>().is_err() && "nan".parse::<DelayArg>().is_err());
+        assert!("soon".parse::<DelayArg>().unwrap_err().ends_with("20ms or -0.02, or auto"));
         assert!("0".parse::<TargetArg>().is_err());
         assert_eq!("20s".parse(), Ok(RepeatsArg(Repeats { every_s: 20.0, skip: 1 })));
         assert_eq!("500ms:3".parse(), Ok(RepeatsArg(Repeats { every_s: 0.5, skip: 3 })));

@@ -4,6 +4,7 @@ mod apply;
 mod args;
 mod planes;
 mod reading;
+mod records;
 mod words;
 
 pub(crate) use args::Args;

@@ -1,19 +1,17 @@
 //! `catoptra identify --planes`: from all coils to both angles.
 
 use super::args::{Args, DelayArg};
+use super::records::{self, Driven};
 use super::write_file;
 use crate::cli::outcome::Outcome;
 use crate::cli::{Exit, Failure, interrupt};
 use crate::identify::planes::{Motion, OUTPUTS, Planes, PlanesError, Settings, identify, moving};
 use crate::plural::plural;
 use crate::report::planes as page;
-use crate::series::{CurrentTable, Recording};
 use std::fmt::Write as _;
 use std::path::Path;
 
 const FILES: [&str; 3] = ["model.json", "response.csv", "signals.csv"];
-/// Periods of the records may differ by this part.
-const SAME_PERIOD: f64 = 0.01;
 
 fn failure(error: PlanesError) -> Failure {
     let exit = match error {
@@ -58,7 +56,7 @@ pub(super) fn run(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
 
 fn settings(args: &Args) -> Result<Settings, Failure> {
     let orders = args.planes_orders();
-    let delay = args.planes_delay();
+    let delay = args.planes_delay()?;
     if orders.0 == 0 {
         return Err(Failure::usage("--order 0: a model needs one coefficient at least"));
     }
@@ -71,46 +69,23 @@ fn settings(args: &Args) -> Result<Settings, Failure> {
 
 /// Names of the coils, and all records, those to judge by last.
 fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
-    let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
-    if !args.currents.is_empty() && args.currents.len() != files.len() {
-        let (tables, records) = (plural(args.currents.len(), "table"), plural(files.len(), "record"));
-        return Err(Failure::usage(format!("--currents: {tables} for {records}; give one for each, in their order")));
-    }
     let DelayArg::Given(delay_s) = args.delay else {
         return Err(Failure::usage("--delay auto: with --planes give the delay, or leave it to --nk"));
     };
     let mut names: Option<Vec<String>> = None;
-    let mut records: Vec<Motion> = Vec::new();
-    for (k, file) in files.iter().enumerate() {
-        let recording = Recording::read(file).map_err(Failure::usage)?;
-        let (source, coils, currents) = match args.currents.get(k) {
-            Some(table) => {
-                let read = CurrentTable::read(table).map_err(Failure::usage)?;
-                let on_camera = read.on_camera_clock(&recording, None).map_err(Failure::usage)?;
-                (table.display().to_string(), read.coils, on_camera)
-            }
-            None => {
-                let coils = recording.currents.iter().map(|c| c.values_a.len()).max().unwrap_or(0);
-                let coils = (0..coils).map(|coil| format!("coil_{coil}")).collect();
-                (file.display().to_string(), coils, recording.currents.clone())
-            }
-        };
+    let mut motions: Vec<Motion> = Vec::new();
+    for (file, table) in records::files(args)? {
+        let Driven { recording, source, coils, currents } = Driven::read(file, table)?;
         if let Some(first) = names.as_ref().filter(|first| **first != coils) {
             let (first, these) = (first.join(", "), coils.join(", "));
             return Err(Failure::usage(format!("{source}: has the coils {these}, the first record has {first}")));
         }
         let all: Vec<usize> = (0..coils.len()).collect();
-        let record = Motion::of(&recording, (&source, &currents), &all, delay_s).map_err(failure)?;
-        if let Some(first) = records.first().filter(|r| (record.period_s / r.period_s - 1.0).abs() > SAME_PERIOD) {
-            return Err(Failure::usage(format!(
-                "{}: samples are {:.6} s apart, and {:.6} s in {}: records that belong together have one period",
-                record.name, record.period_s, first.period_s, first.name
-            )));
-        }
+        motions.push(Motion::of(&recording, (&source, &currents), &all, delay_s).map_err(failure)?);
         names.get_or_insert(coils);
-        records.push(record);
     }
-    Ok((names.unwrap_or_default(), records))
+    records::one_period(motions.iter().map(|motion| (motion.name.as_str(), motion.period_s)), "")?;
+    Ok((names.unwrap_or_default(), motions))
 }
 
 fn words(found: &Planes, coils: &[String], out: &Path) -> String {

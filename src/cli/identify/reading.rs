@@ -2,6 +2,7 @@
 
 use super::super::provenance;
 use super::args::{Args, DelayArg, Range};
+use super::records::{self, Driven};
 use crate::cli::Failure;
 use crate::identify::data::Data;
 use crate::identify::data::Record;
@@ -13,12 +14,9 @@ use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
 use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::recorded::Observed;
-use crate::plural::plural;
-use crate::series::{CurrentTable, Recording, columns};
+use crate::series::columns;
 use std::path::Path;
 
-/// Largest relative difference of the records' periods.
-const SAME_PERIOD: f64 = 0.01;
 /// Fewest samples after decimation.
 const DECIMATION_NEEDS: usize = 11;
 /// The input of a log without Eq. 6.
@@ -32,29 +30,23 @@ struct Read {
 
 /// Prepared data for identification and validation.
 pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
-    let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
+    let files = records::files(args)?;
     let ranges = args.train.is_some() || args.test.is_some();
     let applied = args.model.is_some();
     if ranges && args.records.len() > 1 {
         return Err(Failure::usage("--train and --test take parts of one record; there are several"));
     }
-    if !args.currents.is_empty() && args.currents.len() != files.len() {
-        let (tables, records) = (plural(args.currents.len(), "table"), plural(files.len(), "record"));
-        return Err(Failure::usage(format!("--currents: {tables} for {records}; give one for each, in their order")));
-    }
     let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(Failure::usage)?;
     let mut all = Vec::new();
-    for (k, file) in files.iter().enumerate() {
-        let mut read = if args.output.is_some() {
-            from_table(args, file)?
-        } else {
-            recorded(args, file, args.currents.get(k).map(AsRef::as_ref), plant)?
-        };
+    for (k, (file, table)) in files.into_iter().enumerate() {
+        let mut read =
+            if args.output.is_some() { from_table(args, file)? } else { recorded(args, file, table, plant)? };
         // An applied model is judged by all records.
         read.summary.training = args.model.is_none() && k < args.records.len();
         all.push(read);
     }
-    one_period(&all)?;
+    let periods = all.iter().map(|read| (read.summary.name.as_str(), read.summary.period_s));
+    records::one_period(periods, " (--resample --period gives them one)")?;
     warn_of_training_data_in_validation(args);
     let mut period_s = all.first().map_or(0.0, |read| read.summary.period_s);
     let mut data = Data::default();
@@ -140,19 +132,6 @@ fn within(record: &Record, range: Range) -> Result<(), Failure> {
     Ok(())
 }
 
-fn one_period(all: &[Read]) -> Result<(), Failure> {
-    let Some(first) = all.first() else { return Ok(()) };
-    let other = |read: &&Read| (read.summary.period_s / first.summary.period_s - 1.0).abs() > SAME_PERIOD;
-    match all.iter().find(other) {
-        None => Ok(()),
-        Some(read) => Err(Failure::usage(format!(
-            "{}: samples are {:.6} s apart, and {:.6} s in {}: records that belong together have one period \
-             (--resample --period gives them one)",
-            read.summary.name, read.summary.period_s, first.summary.period_s, first.summary.name
-        ))),
-    }
-}
-
 /// A record from columns of any table.
 fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let (Some(input), Some(output)) = (&args.input, &args.output) else {
@@ -207,21 +186,8 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
              or the columns of a table with --input, --output and --period"
         )));
     }
-    let recording = Recording::read(file)?;
-    if let Some(why) = &recording.cut {
-        tracing::warn!("{name}: not all of it can be read: {why}");
-    }
+    let Driven { recording, source, currents, .. } = Driven::read(file, table)?;
     let observed = Observed::of(&recording).map_err(Failure::usage)?;
-    let (source, currents) = match table {
-        None => (name.clone(), recording.currents.clone()),
-        Some(table) => {
-            let read = CurrentTable::read(table)?;
-            if let Some(assumed) = read.assumption(&recording, None) {
-                tracing::info!("{}: {assumed}", table.display());
-            }
-            (table.display().to_string(), read.on_camera_clock(&recording, None)?)
-        }
-    };
     let held = observed.commands(&source, &currents, args.coil).map_err(Failure::usage)?;
     if let Some(LongHold { from_s, to_s, value, usual_s }) = observed.time_s.last().and_then(|t| held.longest_hold(*t))
     {

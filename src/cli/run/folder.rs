@@ -157,8 +157,7 @@ impl Files {
             }
         }
         let path = self.folder.join(RUN);
-        // All or nothing: half of it would not identify the folder.
-        let text = format!("# Origin of these results.\n{}", run.to_toml()?);
+        let text = results::origin(&run.to_toml()?);
         atomic_file::write(&path, text.as_bytes()).map_err(|e| cannot(&path, e))?;
         Ok(held)
     }
@@ -200,7 +199,7 @@ impl Files {
     /// # Errors
     /// [`Exit::Failed`] when it cannot be written.
     pub(in crate::cli) fn add_budget(&self, run: &Run, sources: &[Contribution]) -> Result<(), Failure> {
-        let mut text = format!("# Origin of these results.\n{}", run.to_toml()?);
+        let mut text = results::origin(&run.to_toml()?);
         text += "\n# What each source of error adds to θ and to the tip in the base frame, 1σ.\n[error_budget]\n";
         let all = sources.iter().filter_map(|source| Some((source.name, *source.share.as_ref().ok()?)));
         for (name, (theta_rad, tip_m)) in all.chain([("together", together(sources))]) {

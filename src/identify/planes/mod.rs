@@ -24,7 +24,7 @@ use super::data::Segment;
 use super::hold::Held;
 use super::recorded::{Observed, RecordedError};
 use super::spectrum::spectrum;
-use crate::series::{Current, Recording};
+use crate::series::{Current, Recording, SeriesError};
 use arx::Regression;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::{PI, TAU};
@@ -44,6 +44,9 @@ pub(crate) enum PlanesError {
     /// A record.
     #[error(transparent)]
     Recorded(#[from] RecordedError),
+    /// Tangents in another frame of reference.
+    #[error(transparent)]
+    Series(#[from] SeriesError),
     /// Times that are no grid.
     #[error(transparent)]
     Grid(#[from] super::grid::GridError),
@@ -103,6 +106,7 @@ impl Motion {
         if recording.frames.iter().all(|frame| frame.tangent.is_none()) && !recording.frames.is_empty() {
             return Err(PlanesError::NoTangent { name, frames: recording.frames.len() });
         }
+        recording.in_base_frame()?;
         let angle = |part: usize| Observed::of_angle(recording, |frame| frame.tangent.map(|t| t[part].atan2(t.z)));
         let [x, y] = [angle(0)?, angle(1)?];
         let held = coils.iter().map(|coil| Ok(x.commands(source, currents, *coil)?.zero_before()));

@@ -43,6 +43,16 @@ fn paths_are_read_with_their_periods_and_directions() {
 }
 
 #[test]
+fn directions_are_there_or_not() {
+    let three = "\n0,0,5,0,0,1\n10,0,5,0,0,1\n10,10,5,0,0,1\n";
+    let of = |names: &str| read(&format!("x_mm,y_mm,z_mm,{names}{three}"), None, None);
+    assert!(of("tan_x,tan_y,tan_z").unwrap().tangents.is_some());
+    assert_eq!(of("a,b,c").unwrap().tangents, None);
+    assert_eq!(of("tan_x,tan_y,tanz").unwrap_err(), "path.csv: has tan_x, but no tan_z");
+    assert_eq!(of("tanx,tan_y,tan_z").unwrap_err(), "path.csv: has tan_y, but no tan_x");
+}
+
+#[test]
 fn paths_that_are_none_are_refused() {
     assert_eq!(
         read("x_mm,y_mm,z_mm\n0,0,0\n1,0,0\n", None, None).unwrap_err(),

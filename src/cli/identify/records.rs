@@ -1,0 +1,70 @@
+//! The records that are identified from: runs with their coil currents, and what they must have in common.
+
+use super::args::Args;
+use crate::cli::Failure;
+use crate::plural::plural;
+use crate::series::{Current, CurrentTable, Recording};
+use std::path::Path;
+
+/// Largest relative difference of the records' periods.
+const SAME_PERIOD: f64 = 0.01;
+
+/// All records, those to judge by last, each with its table of currents if there are tables.
+pub(super) fn files(args: &Args) -> Result<Vec<(&Path, Option<&Path>)>, Failure> {
+    let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
+    if !args.currents.is_empty() && args.currents.len() != files.len() {
+        let (tables, records) = (plural(args.currents.len(), "table"), plural(files.len(), "record"));
+        return Err(Failure::usage(format!("--currents: {tables} for {records}; give one for each, in their order")));
+    }
+    let tables = args.currents.iter().map(|table| Some(table.as_path())).chain(std::iter::repeat(None));
+    Ok(files.into_iter().zip(tables).collect())
+}
+
+/// A run, and the currents of its coils on the camera's clock.
+pub(super) struct Driven {
+    pub(super) recording: Recording,
+    /// File of the currents.
+    pub(super) source: String,
+    /// Names of the coils.
+    pub(super) coils: Vec<String>,
+    pub(super) currents: Vec<Current>,
+}
+
+impl Driven {
+    /// Reads a run, with its currents from the table or else from its own log; warns of what is missing.
+    ///
+    /// # Errors
+    /// When one of both cannot be read, or the clock of the table not be related to the camera's.
+    pub(super) fn read(file: &Path, table: Option<&Path>) -> Result<Self, Failure> {
+        let name = file.display().to_string();
+        let mut recording = Recording::read(file)?;
+        if let Some(why) = &recording.cut {
+            tracing::warn!("{name}: not all of it can be read: {why}");
+        }
+        let Some(path) = table else {
+            let currents = std::mem::take(&mut recording.currents);
+            let count = currents.first().map_or(0, |current| current.values_a.len());
+            let coils = (0..count).map(|coil| format!("coil_{coil}")).collect();
+            return Ok(Self { recording, source: name, coils, currents });
+        };
+        let source = path.display().to_string();
+        let table = CurrentTable::read(path)?;
+        if let Some(assumed) = table.assumption(&recording, None) {
+            tracing::info!("{source}: {assumed}");
+        }
+        let currents = table.on_camera_clock(&recording, None)?;
+        Ok(Self { recording, source, coils: table.coils, currents })
+    }
+}
+
+/// Refuses records whose periods differ. `records`: names and periods, seconds; `advice`: what else could be done.
+pub(super) fn one_period<'a>(mut records: impl Iterator<Item = (&'a str, f64)>, advice: &str) -> Result<(), Failure> {
+    let Some((first, first_s)) = records.next() else { return Ok(()) };
+    match records.find(|(_, period_s)| (period_s / first_s - 1.0).abs() > SAME_PERIOD) {
+        None => Ok(()),
+        Some((name, period_s)) => Err(Failure::usage(format!(
+            "{name}: samples are {period_s:.6} s apart, and {first_s:.6} s in {first}: records that belong together \
+             have one period{advice}"
+        ))),
+    }
+}
