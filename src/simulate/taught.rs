@@ -46,12 +46,8 @@ pub fn taught(rig: &Rig, scene: &Scene) -> Result<Rig, SceneError> {
         let around: Vec<[f32; 3]> = (0..40_u8).map(|k| background.map(|v| v * (0.8 + 0.01 * f32::from(k)))).collect();
         classes.push(sampled("background", false, &around));
         let learned = learn(&classes).map_err(|e| SceneError::Colours(e.to_string()))?;
-        for (marker, model) in new.markers.iter_mut().zip(learned.models) {
-            if view == 0 {
-                marker.colours.clear();
-            }
-            marker.colours.push(model);
-        }
+        let taught = new.markers.iter_mut().zip(&rig.markers).zip(learned.models);
+        taught.filter(|((_, old), _)| old.colours.is_empty()).for_each(|((new, _), model)| new.colours.push(model));
     }
     Ok(new)
 }

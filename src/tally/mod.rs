@@ -136,6 +136,8 @@ pub struct ViewTally {
     fitted: u64,
     sum_px: [f64; 2],
     sum_squares_px2: f64,
+    /// Frames with a colour separation, and their sum.
+    separated: u64,
     sum_separation: f64,
     /// Smallest colour separation.
     pub least_separation: Option<f64>,
@@ -216,6 +218,7 @@ impl Tally {
                 let Ok(band) = view else { continue };
                 total.seen += 1;
                 if band.separation.is_finite() {
+                    total.separated += 1;
                     total.sum_separation += band.separation;
                     let least = total.least_separation.map_or(band.separation, |l| l.min(band.separation));
                     total.least_separation = Some(least);
@@ -350,7 +353,7 @@ impl ViewTally {
 
     /// Mean colour separation.
     pub fn mean_separation(&self) -> Option<f64> {
-        self.least_separation.map(|_| self.sum_separation / self.seen as f64)
+        (self.separated > 0).then(|| self.sum_separation / self.separated as f64)
     }
 }
 

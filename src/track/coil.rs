@@ -17,10 +17,16 @@ pub fn deflection(tangent: &Tangent, base: &Base) -> Deflection {
     let d_theta = RowVector3::new(t.z, 0.0, -t.x) / in_plane;
     Deflection {
         theta_rad: t.x.atan2(t.z),
-        theta_sd_rad: (d_theta * covariance * d_theta.transpose())[0].max(0.0).sqrt(),
+        theta_sd_rad: sd((d_theta * covariance * d_theta.transpose())[0]),
         polar_rad: t.xy().norm().atan2(t.z),
         azimuth_rad: t.y.atan2(t.x),
     }
+}
+
+/// Of a variance, which rounding may have made negative. (A tangent normal to the plane has no θ, and its σ is not a
+/// number.)
+fn sd(variance: f64) -> f64 {
+    if variance < 0.0 { 0.0 } else { variance.sqrt() }
 }
 
 #[cfg(test)]
@@ -74,5 +80,7 @@ mod tests {
         let tilted = Rotation3::from_axis_angle(&Vector3::x_axis(), -60_f64.to_radians()) * Vector3::z();
         let d = deflection(&tangent_in_base(tilted), &base());
         assert!((d.theta_sd_rad - 2e-2).abs() < 1e-9);
+        let unknown = Deflection { theta_sd_rad: sd(f64::NAN), ..d };
+        assert!(unknown.theta_sd_rad.is_nan() && sd(-1e-30) == 0.0);
     }
 }

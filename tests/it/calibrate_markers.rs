@@ -86,6 +86,30 @@ fn markers_learned_from_clicks_measure_another_recording() {
     Limits::PROMISED.hold_for(&score);
 }
 
+/// By construction the bands are 79 and 22 mm apart.
+#[test]
+fn places_that_were_given_stay_and_the_others_are_measured_from_them() {
+    for (given_mm, expected_mm) in
+        [([Some(12.0), None, Some(113.0)], [12.0, 91.0, 113.0]), ([None, None, Some(103.0)], [2.0, 81.0, 103.0])]
+    {
+        let bench = Bench::new();
+        let rig = ["base", "coil", "tip"].into_iter().zip(given_mm).fold(untaught_rig(), |rig, (name, given)| {
+            let marker = format!("name = \"{name}\"\n");
+            assert!(rig.contains(&marker));
+            given.map_or(rig.clone(), |mm: f64| rig.replace(&marker, &format!("{marker}centre_mm = {mm:?}\n")))
+        });
+        std::fs::write(bench.folder.path().join("bare.toml"), rig).unwrap();
+        ended_with(&bench.pick("rest", [BASE, COIL, TIP]), 0);
+        let rig = Rig::load(&bench.learned()).unwrap();
+        for ((marker, given), expected) in rig.markers.iter().zip(given_mm).zip(expected_mm) {
+            let at_mm = marker.centre_m.unwrap() * 1e3;
+            let limit_mm = if given.is_some() { 1e-9 } else { 0.5 };
+            assert!((at_mm - expected).abs() < limit_mm, "{} at {at_mm} mm, expected {expected}", marker.name);
+        }
+        assert_eq!(rig.provenance["markers"]["places"].as_str(), Some("partly given"));
+    }
+}
+
 /// In any direction, in any view, in another frame; on a rig that has learned before, too.
 #[test]
 fn picks_beside_the_bands_teach_and_teach_the_same_again() {

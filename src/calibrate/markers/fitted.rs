@@ -6,7 +6,7 @@ use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
-use crate::rig::Rig;
+use crate::rig::{Marker, Rig};
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
 
@@ -38,8 +38,8 @@ const MIN_GAIN_SDS: f64 = 3.0;
 const PARTS: usize = 3;
 const MIN_FITTED_SD_M: f64 = 0.01e-3;
 
-/// Finds places along the tube that the rig lacks, from the outer edge of the first band; returns the σ of each one's
-/// distance from the one before, metres; `None` where it was known or is not found.
+/// Finds places along the tube that the rig lacks, from those that it has, or else from the outer edge of the first band;
+/// returns the σ of each band's distance from the one before, metres; `None` where it was known or is not found.
 ///
 /// An arc is measured as a chord: all frames count, most of all those in which the tube is straight.
 pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
@@ -49,25 +49,42 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
     }
     let estimates = track(rig, frames)?;
     let coil = rig.catheter.coil;
-    let mut at = rig.markers.first().map_or(0.0, |m| m.length_m / 2.0);
-    for m in 0..rig.markers.len() {
-        if m > 0 {
-            let beside_coil = m == coil || m == coil + 1;
-            let arcs: Vec<(f64, f64)> = estimates.iter().filter_map(|e| arc(e, m, beside_coil)).collect();
-            let Some((arc_m, sd)) = combined(&arcs, beside_coil) else { return Ok(sd_m) };
-            at += arc_m;
-            sd_m[m] = Some(sd.hypot(places_sd_m(&estimates, m)));
-        }
-        rig.markers[m].centre_m = Some(at);
+    let known: Vec<bool> = rig.markers.iter().map(|m| m.centre_m.is_some()).collect();
+    let first = known.iter().position(|known| *known).unwrap_or_else(|| {
+        rig.markers.iter_mut().take(1).for_each(|m| m.centre_m = Some(m.length_m / 2.0));
+        0
+    });
+    // Of a band from the one before: distance and σ.
+    let distance = |m: usize| {
+        let beside_coil = m == coil || m == coil + 1;
+        let arcs: Vec<(f64, f64)> = estimates.iter().filter_map(|e| arc(e, m, beside_coil)).collect();
+        let (arc_m, sd) = combined(&arcs, beside_coil)?;
+        Some((arc_m, sd.hypot(places_sd_m(&estimates, m))))
+    };
+    let behind = (first + 1..rig.markers.len()).map(|m| (m, m - 1, m));
+    let before = (0..first).rev().map(|m| (m, m + 1, m + 1));
+    for (m, from, later) in behind.chain(before).filter(|(m, ..)| !known[*m]) {
+        let (Some(from_m), Some((arc_m, sd))) = (rig.markers[from].centre_m, distance(later)) else { return Ok(sd_m) };
+        rig.markers[m].centre_m = Some(if from < m { from_m + arc_m } else { from_m - arc_m });
+        sd_m[later] = Some(sd);
     }
     // Where bands are fitted together, the pictures give more information.
     let some = every(frames, TUNING_FRAMES);
-    for m in (1..rig.markers.len()).filter(|&m| m == coil || m == coil + 1) {
-        let start = rig.markers[m].centre_m.unwrap_or(at) - rig.markers[m - 1].centre_m.unwrap_or(0.0);
+    for m in (1..rig.markers.len()).filter(|&m| (m == coil || m == coil + 1) && !(known[m] && known[m - 1])) {
+        let (Some(from_m), Some(to_m)) = (rig.markers[m - 1].centre_m, rig.markers[m].centre_m) else { continue };
+        let start = to_m - from_m;
+        // What was known stays: the bands behind are moved, or those before.
         let shifted = |arc: f64| {
             let mut shifted = rig.clone();
-            for later in &mut shifted.markers[m..] {
-                later.centre_m = later.centre_m.map(|c| c + arc - start);
+            let (before, behind) = shifted.markers.split_at_mut(m);
+            let (before_known, behind_known) = known.split_at(m);
+            let move_all = |marker: &mut Marker, by: f64| marker.centre_m = marker.centre_m.map(|c| c + by);
+            if known[m] {
+                let unknown = before.iter_mut().zip(before_known).rev().take_while(|(_, known)| !**known);
+                unknown.for_each(|(marker, _)| move_all(marker, start - arc));
+            } else {
+                let unknown = behind.iter_mut().zip(behind_known).take_while(|(_, known)| !**known);
+                unknown.for_each(|(marker, _)| move_all(marker, arc - start));
             }
             shifted
         };

@@ -1,7 +1,6 @@
 //! The smallest value of a noisy, smooth function of one parameter: bracketed by steps, then the vertex of a parabola.
 
-/// Parameter at the minimum, and its standard deviation if the function were a χ² (root of 2 over the second
-/// derivative).
+/// Parameter at the minimum, and the second derivative there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Minimum {
     pub at: f64,

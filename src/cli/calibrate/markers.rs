@@ -164,8 +164,7 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
         };
         return Err(failure(args, error, &note));
     }
-    let given = places_are_given(args)?;
-    let provenance = provenance(args, &done, given);
+    let provenance = provenance(args, &done, places(&rig));
     done.rig.provenance.insert("markers".into(), provenance.into());
     print(&describe(&done))?;
     for warning in warnings(&done) {
@@ -304,18 +303,27 @@ fn bands(args: &MarkersArgs) -> Result<Vec<(&str, f64)>, Failure> {
     bands.into_iter().map(|band| Ok((band.0, length(band)?))).collect()
 }
 
-/// Whether the places along the tube were written by hand, not learned.
+/// Whether places along the tube were written by hand, not learned.
 fn places_of(draft: &Draft) -> bool {
     let learned = draft.provenance.get("markers").and_then(|markers| markers.get("places"));
     match draft.provenance.get("markers") {
         None => true,
-        Some(_) => learned.and_then(toml::Value::as_str) == Some("given"),
+        Some(_) => matches!(learned.and_then(toml::Value::as_str), Some(GIVEN | PARTLY_GIVEN)),
     }
 }
 
-fn places_are_given(args: &MarkersArgs) -> Result<bool, Failure> {
-    let draft = Draft::load(&args.rig)?;
-    Ok(places_of(&draft) && draft.markers.iter().any(|marker| marker.centre_m.is_some()))
+/// Where the places along the tube are from: all, some or none of the rig's were given.
+const GIVEN: &str = "given";
+const PARTLY_GIVEN: &str = "partly given";
+const MEASURED: &str = "measured";
+
+/// Where those of a rig will be from after the others have been measured.
+fn places(rig: &Rig) -> &'static str {
+    match rig.markers.iter().filter(|marker| marker.centre_m.is_some()).count() {
+        0 => MEASURED,
+        given if given == rig.markers.len() => GIVEN,
+        _ => PARTLY_GIVEN,
+    }
 }
 
 /// The tube and the roles of its bands: as requested, else those of the rig, else the usual ones.
@@ -368,12 +376,12 @@ fn failure(args: &MarkersArgs, error: MarkersError, note: &str) -> Failure {
     Failure::new(exit, format!("{}: {error}{note}", args.source.display()))
 }
 
-fn provenance(args: &MarkersArgs, done: &Teaching, given: bool) -> toml::Table {
+fn provenance(args: &MarkersArgs, done: &Teaching, places: &str) -> toml::Table {
     let mut table = toml::Table::new();
     let file = args.source.file_name().unwrap_or_default().to_string_lossy().into_owned();
     table.insert("made_by".into(), format!("catoptra {} calibrate markers", env!("CARGO_PKG_VERSION")).into());
     table.insert("recording".into(), file.into());
-    table.insert("places".into(), if given { "given" } else { "measured" }.into());
+    table.insert("places".into(), places.into());
     if let Ok(learned) = &done.outcome {
         table.insert("frames".into(), (learned.frames as i64).into());
         let round = |v: f64| (v * 1e3).round() / 1e3;

@@ -1,5 +1,6 @@
 //! State of the run, for `rqt_robot_monitor` and the like: totals, misses with reasons, drift.
 
+use crate::estimate::Miss;
 use crate::log::ros2::messages::{DiagnosticStatus, KeyValue};
 use crate::log::schema::messages::Health;
 use crate::plural::plural;
@@ -23,16 +24,22 @@ pub(super) fn status(health: &Health, markers: &[String]) -> Vec<DiagnosticStatu
     let message = format!("{all}, {} lost in {gaps}", health.lost_frames);
     let mut all = vec![one("frames", if lossy { WARN } else { OK }, message, frames)];
 
+    let no_base = Miss::NoBaseFrame.word(&[]);
     for what in markers.iter().map(String::as_str).chain(["tangent", "deflection"]) {
         let misses: Vec<_> = health.misses.iter().filter(|miss| miss.what == what).collect();
-        let missed: u64 = misses.iter().map(|miss| miss.frames).sum();
+        // What a rig without a base frame has not is not missed.
+        let missed: u64 = misses.iter().filter(|miss| miss.reason != no_base).map(|miss| miss.frames).sum();
         let level = match missed {
             0 => OK,
             n if n < health.frames => WARN,
             _ => ERROR,
         };
         let message = format!("not measured in {missed} of {}", plural(health.frames, "frame"));
-        let message = if missed == 0 { "measured in all frames".to_owned() } else { message };
+        let message = match missed {
+            0 if misses.iter().any(|miss| miss.reason == no_base) => "the rig has no base frame".to_owned(),
+            0 => "measured in all frames".to_owned(),
+            _ => message,
+        };
         all.push(one(what, level, message, misses.iter().map(|miss| value(&miss.reason, miss.frames)).collect()));
     }
 
@@ -55,4 +62,25 @@ fn one(name: &str, level: u8, message: String, values: Vec<KeyValue>) -> Diagnos
 
 fn value(key: &str, value: impl ToString) -> KeyValue {
     KeyValue { key: key.to_owned(), value: value.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::schema::messages::MissCount;
+
+    #[test]
+    fn a_rig_without_a_base_frame_misses_no_deflection() {
+        let miss =
+            |reason: &str, frames| MissCount { what: "deflection".to_owned(), reason: reason.to_owned(), frames };
+        let deflection = |misses| {
+            let health = Health { frames: 100, misses, ..Health::default() };
+            let found = status(&health, &[]).into_iter().find(|status| status.name == "catoptra: deflection").unwrap();
+            (found.level, found.message)
+        };
+        assert_eq!(deflection(vec![]), (OK, "measured in all frames".to_owned()));
+        assert_eq!(deflection(vec![miss("no_base_frame", 100)]), (OK, "the rig has no base frame".to_owned()));
+        let both = vec![miss("no_base_frame", 90), miss("marker_missing", 10)];
+        assert_eq!(deflection(both), (WARN, "not measured in 10 of 100 frames".to_owned()));
+    }
 }
