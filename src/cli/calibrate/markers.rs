@@ -471,7 +471,9 @@ fn describe_bands(rig: &Rig, learned: &MarkersCalibration) -> String {
             marker.name, learned.answered[m], learned.frames, rgb.x, rgb.y, rgb.z
         );
     }
-    text += "(counted from the edge of the first band that is nearer to the clamp)\n";
+    if rig.markers.first().is_some_and(|first| first.centre_m == Some(first.length_m / 2.0)) {
+        text += "(counted from the edge of the first band that is nearer to the clamp)\n";
+    }
     text
 }
 
