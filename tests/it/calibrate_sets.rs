@@ -257,16 +257,16 @@ fn a_picture_that_was_given_before_counts_once_whatever_its_name() {
     std::fs::copy(set.path("set/03.png"), set.path("copy.png")).unwrap();
     let output = set.camera(&["set", "set/00.png", "copy.png"], &[]);
     let parts = [
-        "set/00.png               left out: it is the same picture as set/00.png",
-        "copy.png                 left out: it is the same picture as 03.png",
+        "set/00.png               left out: it shows the board where set/00.png does",
+        "copy.png                 left out: it shows the board where 03.png does",
         "6 of 8 pictures used",
     ];
     holds(&output, 0, &parts);
     let set = Set::changed("mirror", &[0, 2, 4], |_, picture| picture);
     std::fs::copy(set.path("set/04.png"), set.path("copy.png")).unwrap();
     let output = set.rig(&["set", "set/00.png", "copy.png"], &[]);
-    let same = "copy.png                 left out: it is the same picture as 04.png";
-    holds(&output, 0, &["left out: it is the same picture as set/00.png", same, "3 of 5 pictures used"]);
+    let same = "copy.png                 left out: it shows the board where 04.png does";
+    holds(&output, 0, &["left out: it shows the board where set/00.png does", same, "3 of 5 pictures used"]);
 }
 
 #[test]

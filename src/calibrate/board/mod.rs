@@ -26,8 +26,9 @@ use nalgebra::{Point2, Point3, Vector3};
 /// Inner corners along one side, fewest and most. OpenCV's detector needs three.
 const CORNERS: std::ops::RangeInclusive<usize> = 3..=99;
 
-/// Two pictures whose corners differ by less than this, RMS in pixels, are the same picture.
-const SAME_PX: f64 = 0.05;
+/// Two pictures whose corners differ by less than this part of a square's side, RMS, tell the same: errors of lens and
+/// print are the same in both.
+const SAME_PLACE: f64 = 0.1;
 
 /// What is printed on a board.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -179,13 +180,13 @@ pub struct BoardImage {
 const BLURRED: f64 = 0.35;
 
 impl BoardImage {
-    /// Whether both show the same corners at the same places: that is, the same picture given twice.
+    /// Whether both show the same corners at the same places, like two pictures of a board at rest.
     pub(crate) fn is_same_as(&self, other: &Self) -> bool {
         let (own, others) = (&self.corners, &other.corners);
         let squares_px2 = || own.iter().zip(others).map(|(a, b)| (a.1 - b.1).norm_squared());
         own.len() == others.len()
             && own.iter().zip(others).all(|(a, b)| a.0 == b.0)
-            && (squares_px2().sum::<f64>() / (2 * own.len()).max(1) as f64).sqrt() < SAME_PX
+            && (squares_px2().sum::<f64>() / own.len().max(1) as f64).sqrt() < SAME_PLACE * self.square_px
     }
 
     /// Whether the board is too blurred to calibrate with: compares its edges with its squares.

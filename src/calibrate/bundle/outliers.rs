@@ -53,7 +53,7 @@ pub enum LeftOut {
     #[error("its board is mirrored: pictures must be taken without a mirror, and by a camera that does not flip them")]
     Mirrored,
     /// It was already given.
-    #[error("it is the same picture as {0}")]
+    #[error("it shows the board where {0} does")]
     Duplicate(String),
 }
 

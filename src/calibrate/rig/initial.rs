@@ -86,7 +86,7 @@ pub(crate) enum Unusable {
     )]
     Flipped,
     /// It was already given.
-    #[error("it is the same picture as {0}")]
+    #[error("it shows the board where {0} does")]
     Duplicate(String),
     /// Blurred images.
     #[error(

@@ -77,7 +77,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "COLUMN", requires = "input")]
     pub(super) output: Option<String>,
     /// Column of the time in seconds
-    #[arg(long, value_name = "COLUMN", requires = "output", conflicts_with = "period")]
+    #[arg(long, value_name = "COLUMN", requires = "output")]
     pub(super) time: Option<String>,
     /// Seconds from row to row; with --resample, from sample to sample
     #[arg(long, value_name = "S", value_parser = positive)]

@@ -47,7 +47,8 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     }
     let periods = all.iter().map(|read| (read.summary.name.as_str(), read.summary.period_s));
     records::one_period(periods, " (--resample --period gives them one)")?;
-    warn_of_training_data_in_validation(args);
+    warn_of_shared_ranges(args);
+    check_for_copies(&all)?;
     let mut period_s = all.first().map_or(0.0, |read| read.summary.period_s);
     let mut data = Data::default();
     let mut summaries = Vec::new();
@@ -87,16 +88,33 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
 }
 
 /// Warns if fitted data are also used for validation.
-fn warn_of_training_data_in_validation(args: &Args) {
+fn warn_of_shared_ranges(args: &Args) {
     if let (Some(train), Some(test)) = (args.train, args.test) {
         let (from, to) = (train.from.max(test.from), train.to.min(test.to));
         if from < to {
             tracing::warn!("--train and --test share samples {from} to {}: fitted data cannot judge the model", to - 1);
         }
     }
-    for file in args.validate.iter().filter(|file| args.records.contains(file)) {
-        tracing::warn!("{}: is fitted and judged by: fitted data cannot judge the model", file.display());
+}
+
+/// No record may count twice, and none that is fitted can judge.
+fn check_for_copies(all: &[Read]) -> Result<(), Failure> {
+    let pairs = all.iter().enumerate().flat_map(|(k, one)| all[..k].iter().map(move |before| (before, one)));
+    for (before, one) in pairs.filter(|(before, one)| before.record.is_copy_of(&one.record)) {
+        let (name, other) = (&one.summary.name, &before.summary.name);
+        match (before.summary.training, one.summary.training) {
+            (true, true) => {
+                return Err(Failure::usage(format!(
+                    "{name}: holds the samples of {other}, which would count twice: leave one out"
+                )));
+            }
+            (true, false) => {
+                tracing::warn!("{name}: is fitted and judged by: fitted data cannot judge the model");
+            }
+            _ => {}
+        }
     }
+    Ok(())
 }
 
 /// Why nothing is left of a record, or of a part of one.
@@ -142,6 +160,11 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let mut values = columns(file, &names)?.into_iter();
     let (drive, output) = (values.next().unwrap_or_default(), values.next().unwrap_or_default());
     let time_s = match (values.next(), args.period) {
+        (Some(_), Some(_)) if !args.resample => {
+            return Err(Failure::usage(
+                "--time has the time from row to row: leave --period out, or add --resample, for which it is the new one",
+            ));
+        }
         (Some(times), _) => times
             .into_iter()
             .enumerate()
