@@ -34,7 +34,7 @@ impl Driven {
     /// Reads a run, with its currents from the table or else from its own log; warns of what is missing.
     ///
     /// # Errors
-    /// When one of both cannot be read, or the clock of the table not be related to the camera's.
+    /// When either cannot be read, or the table's clock cannot be related to the camera's.
     pub(super) fn read(file: &Path, table: Option<&Path>) -> Result<Self, Failure> {
         let name = file.display().to_string();
         let mut recording = Recording::read(file)?;
