@@ -64,8 +64,9 @@ pub struct Record {
 impl Record {
     /// Whether it has the samples of another, whatever their names.
     pub(crate) fn is_copy_of(&self, other: &Self) -> bool {
-        let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
-        let same = |(a, b): (&Segment, &Segment)| a.input == b.input && bits(&a.output) == bits(&b.output);
+        // What was not observed is NaN, which equals nothing.
+        let outputs = |segment: &Segment| segment.output.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+        let same = |(a, b): (&Segment, &Segment)| a.input == b.input && outputs(a) == outputs(b);
         self.segments.len() == other.segments.len() && self.segments.iter().zip(&other.segments).all(same)
     }
 

@@ -1,8 +1,8 @@
 //! The quantiser that the headers of packets state, of coders whose decoders do not tell it: H.265 and AV1.
 //!
 //! libav parses these headers for itself, but gives out only what its filter `trace_headers` logs: every element, by
-//! name. The coder may deviate from a header's quantiser in parts of the picture. How far is coded with these parts, and
-//! not known here.
+//! name. The coder may deviate from a header's quantiser in parts of the picture. How far is coded with these parts,
+//! and not known here.
 
 use super::messages::logged;
 use super::quantisation::{h26x_level, vp9_level};
@@ -37,8 +37,8 @@ impl Headers {
         Some(Self { tracer: tracer?, coder })
     }
 
-    /// The level (see [`super::Quantisation`]) of the picture that a packet gives, if its headers state one: the coarsest of
-    /// its slices. Packets are given in the order of the stream.
+    /// The level (see [`super::Quantisation`]) of the picture that a packet gives, if its headers state one: that of
+    /// the coarsest slice. Packets are given in the order of the stream.
     pub(super) fn level(&mut self, packet: &av::Packet) -> Option<u8> {
         let Self { tracer, coder } = self;
         coder.level(&logged(|| tracer.trace(packet)))
@@ -134,8 +134,8 @@ impl Tracer {
     fn new(stream: &av::format::stream::Stream<'_>) -> Option<Self> {
         let parameters = stream.parameters();
         let mut filter = ptr::null_mut();
-        // SAFETY: the name is a C string; a filter that is not known is null and not used. Allocation sets `filter` to a
-        // valid one or returns an error; the stream owns its parameters, which are copied.
+        // SAFETY: the name is a C string; a filter that is not known is null and not used. Allocation sets `filter` to
+        // a valid one or returns an error; the stream owns its parameters, which are copied.
         unsafe {
             let kind = av::ffi::av_bsf_get_by_name(c"trace_headers".as_ptr());
             if kind.is_null() || av::ffi::av_bsf_alloc(kind, &raw mut filter) < 0 {
@@ -154,8 +154,8 @@ impl Tracer {
             return;
         }
         let filter = self.0.as_ptr();
-        // SAFETY: the filter is valid as long as `self`. The packet is a new reference to the same data, which the filter
-        // only reads; it takes the reference and gives it back, and what is left is freed.
+        // SAFETY: the filter is valid as long as `self`. The packet is a new reference to the same data, which the
+        // filter only reads; it takes the reference and gives it back, and what is left is freed.
         unsafe {
             let mut passed = av::ffi::av_packet_clone(packet.as_ptr());
             if !passed.is_null() && av::ffi::av_bsf_send_packet(filter, passed) >= 0 {

@@ -1,8 +1,9 @@
 //! How coarsely a coder quantised a picture.
 //!
 //! A coder rounds the coefficients of its transform to whole steps, and drops what is not worth the bits. The stream
-//! states the steps, block by block; libav's decoders export them for H.264, VP9, MPEG-2 and MPEG-4. Of H.265 and AV1 the
-//! headers state one for the whole picture (headers.rs), of JPEG the tables (jpeg). The transforms are orthonormal, so a step of a coefficient is also one of stored values.
+//! states the steps, block by block; libav's decoders export them for H.264, VP9, MPEG-2 and MPEG-4. Of H.265 and AV1
+//! the headers state one for the whole picture (headers.rs), of JPEG the tables (jpeg). The transforms are orthonormal,
+//! so a step of a coefficient is also one of stored values.
 
 use ffmpeg_the_third::frame::Video;
 use ffmpeg_the_third::frame::side_data::Type;

@@ -8,9 +8,9 @@
 //!
 //! The mean of |y|² over its expectation, for the recent frames, is the factor by which the covariance is too small.
 //!
-//! Below 24 frames per second so many frames take longer than a motion is a polynomial, and the factor is 1. Errors that
-//! persist from frame to frame do not show. The excess over the expectation is taken to be the fraction of
-//! such errors that changes, as given by the image model (image_model.rs).
+//! Below 24 frames per second so many frames take longer than a motion is a polynomial, and the factor is 1. Errors
+//! that persist from frame to frame do not show. The excess over the expectation is taken to be the fraction of such
+//! errors that changes, as given by the image model (image_model.rs).
 
 use crate::source::Timestamp;
 use nalgebra::{Matrix3, Vector3};

@@ -6,7 +6,7 @@ use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
-use crate::rig::{Marker, Rig};
+use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
 
@@ -38,8 +38,8 @@ const MIN_GAIN_SDS: f64 = 3.0;
 const PARTS: usize = 3;
 const MIN_FITTED_SD_M: f64 = 0.01e-3;
 
-/// Finds places along the tube that the rig lacks, from those that it has, or else from the outer edge of the first band;
-/// returns the σ of each band's distance from the one before, metres; `None` where it was known or is not found.
+/// Finds places along the tube that the rig lacks, from those that it has, or else from the outer edge of the first
+/// band; returns the σ of each band's distance from the one before, metres; `None` where it was known or is not found.
 ///
 /// An arc is measured as a chord: all frames count, most of all those in which the tube is straight.
 pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
@@ -61,9 +61,10 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
         let (arc_m, sd) = combined(&arcs, beside_coil)?;
         Some((arc_m, sd.hypot(places_sd_m(&estimates, m))))
     };
-    let behind = (first + 1..rig.markers.len()).map(|m| (m, m - 1, m));
-    let before = (0..first).rev().map(|m| (m, m + 1, m + 1));
-    for (m, from, later) in behind.chain(before).filter(|(m, ..)| !known[*m]) {
+    let behind = (first + 1..rig.markers.len()).map(|m| (m, m - 1));
+    let before = (0..first).rev().map(|m| (m, m + 1));
+    for (m, from) in behind.chain(before).filter(|(m, _)| !known[*m]) {
+        let later = m.max(from);
         let (Some(from_m), Some((arc_m, sd))) = (rig.markers[from].centre_m, distance(later)) else { return Ok(sd_m) };
         rig.markers[m].centre_m = Some(if from < m { from_m + arc_m } else { from_m - arc_m });
         sd_m[later] = Some(sd);
@@ -73,18 +74,16 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
     for m in (1..rig.markers.len()).filter(|&m| (m == coil || m == coil + 1) && !(known[m] && known[m - 1])) {
         let (Some(from_m), Some(to_m)) = (rig.markers[m - 1].centre_m, rig.markers[m].centre_m) else { continue };
         let start = to_m - from_m;
-        // What was known stays: the bands behind are moved, or those before.
+        // What was known stays: the bands behind are moved, up to the next known one, or those before.
+        let (moved, sign) = if known[m] {
+            (known[..m].iter().rposition(|known| *known).map_or(0, |last| last + 1)..m, -1.0)
+        } else {
+            (m..known[m..].iter().position(|known| *known).map_or(known.len(), |next| m + next), 1.0)
+        };
         let shifted = |arc: f64| {
             let mut shifted = rig.clone();
-            let (before, behind) = shifted.markers.split_at_mut(m);
-            let (before_known, behind_known) = known.split_at(m);
-            let move_all = |marker: &mut Marker, by: f64| marker.centre_m = marker.centre_m.map(|c| c + by);
-            if known[m] {
-                let unknown = before.iter_mut().zip(before_known).rev().take_while(|(_, known)| !**known);
-                unknown.for_each(|(marker, _)| move_all(marker, start - arc));
-            } else {
-                let unknown = behind.iter_mut().zip(behind_known).take_while(|(_, known)| !**known);
-                unknown.for_each(|(marker, _)| move_all(marker, arc - start));
+            for marker in &mut shifted.markers[moved.clone()] {
+                marker.centre_m = marker.centre_m.map(|c| c + sign * (arc - start));
             }
             shifted
         };

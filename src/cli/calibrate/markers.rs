@@ -259,7 +259,7 @@ pub(super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
         )));
     }
     let catheter = catheter(args, &draft, &names)?;
-    let given = places_of(&draft);
+    let given = keeps_places(&draft);
     let old = std::mem::take(&mut draft.markers);
     let centre_m = |name: &str| old.iter().find(|m| m.name == name).and_then(|m| m.centre_m).filter(|_| given);
     let marker = |&(name, length_m): &(&str, f64)| Marker {
@@ -303,8 +303,8 @@ fn bands(args: &MarkersArgs) -> Result<Vec<(&str, f64)>, Failure> {
     bands.into_iter().map(|band| Ok((band.0, length(band)?))).collect()
 }
 
-/// Whether places along the tube were written by hand, not learned.
-fn places_of(draft: &Draft) -> bool {
+/// Whether the file's places along the tube are kept: if any were written by hand, not learned.
+fn keeps_places(draft: &Draft) -> bool {
     let learned = draft.provenance.get("markers").and_then(|markers| markers.get("places"));
     match draft.provenance.get("markers") {
         None => true,

@@ -162,7 +162,8 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let time_s = match (values.next(), args.period) {
         (Some(_), Some(_)) if !args.resample => {
             return Err(Failure::usage(
-                "--time has the time from row to row: leave --period out, or add --resample, for which it is the new one",
+                "--time has the time from row to row: leave --period out, or add --resample, for which it is the new \
+                 one",
             ));
         }
         (Some(times), _) => times
