@@ -251,7 +251,8 @@ fn fit_periods(data: &Data, settings: &Settings, refined: Option<&Refined>) -> R
 }
 
 fn segments_of(records: &[Record]) -> Vec<Segment> {
-    records.iter().flat_map(|r| r.segments.iter().cloned()).collect()
+    let numbered = records.iter().enumerate().flat_map(|(record, r)| r.segments.iter().map(move |s| (record, s)));
+    numbered.map(|(record, segment)| Segment { record, ..segment.clone() }).collect()
 }
 
 /// Input, output and the current behind the input must change: a torque of a constant current is the output's own.

@@ -17,6 +17,11 @@ pub struct Segment {
     /// A signal that drives the input and is independent of the output's noise (the coil current), as long as the
     /// input.
     pub instrument: Option<Vec<f64>>,
+    /// Change of the input per change of the output's zero, as long as the input, if that zero is not known and is to
+    /// be fitted: see [`zero`](super::zero).
+    pub by_zero: Option<Vec<f64>>,
+    /// Number of its record among those fitted together.
+    pub record: usize,
     /// Whether the system was at rest before: true for the first segment of a record.
     pub from_rest: bool,
 }
@@ -47,6 +52,8 @@ impl Segment {
             input: self.input[from..to].to_vec(),
             output: self.output[from..to].to_vec(),
             instrument: self.instrument.as_ref().map(|i| i[from..to].to_vec()),
+            by_zero: self.by_zero.as_ref().map(|z| z[from..to].to_vec()),
+            record: self.record,
             from_rest: self.from_rest && from == 0,
         }
     }
@@ -127,7 +134,7 @@ mod tests {
             input: (first..first + n).map(|k| k as f64).collect(),
             output: vec![0.0; n],
             from_rest: first == 0,
-            instrument: None,
+            ..Segment::default()
         };
         let record = Record { name: "r".into(), segments: vec![segment(0, 10), segment(15, 5)] };
         assert_eq!((record.observed(), record.span()), (15, 20));

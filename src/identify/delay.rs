@@ -9,16 +9,18 @@
 //! start at delays over the whole range, each with models whose two states have clearly different time constants, and
 //! the best result is taken.
 //!
-//! σ holds for residuals of any colour: it is computed from their correlation with the derivatives (Newey and West,
-//! Econometrica 55, 1987, doi:10.2307/1913610). The possible shift of the delay from averaging the current between
-//! frames is added in quadrature.
+//! σ holds for residuals of any colour (see `colour`). The possible shift of the delay from averaging the current
+//! between frames is added in quadrature.
 
 use super::arx;
+use super::colour::Colour;
 use super::data::Segment;
 use super::descent::{Descent, Lowest};
 use super::model::{Orders, Polynomials};
-use super::output_error::{each_row, squares};
-use super::regression::{Triangle, solve};
+use super::output_error::{self, Derivatives, derivatives_and_residual, linearised, squares, triangle};
+use super::regression::solve;
+use super::uncertainty::Covariance;
+use super::zero::{self, Zero};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -36,6 +38,10 @@ const HALF_STEP: f64 = 0.005;
 const FIRST_STEPS: usize = 25;
 const FINAL_STEPS: usize = 100;
 const DESCENT: Descent = Descent { first_damping: 1e-3, tolerance: 1e-9, max_steps: FINAL_STEPS };
+/// Largest drift of a clock: that of a loop that takes a little longer than planned.
+const MAX_DRIFT: f64 = 0.01;
+/// Significance limit of a drift, and of an output that comes before the commands, in σ.
+const SIGNIFICANT_SD: f64 = 4.0;
 /// Number of first searches that are continued.
 const CONTINUED_SEARCHES: usize = 3;
 /// Systematic error of the method, in periods. Simulated over all phases between amplifier and camera: 0.2 % to 0.6 %
@@ -49,40 +55,84 @@ pub(crate) struct Delay {
     pub delay_s: f64,
     /// Its standard error, seconds.
     pub sd_s: f64,
+    /// Drift of the commands' clock, if they have their own.
+    pub drift: Option<Drift>,
+    /// The output's zero, if it was fitted along with the delay.
+    pub zero: Option<Zero>,
     /// Root mean square of the residual, unit of the output.
     pub residual_rms: f64,
 }
 
-/// Current delay and model of a search.
+impl Delay {
+    /// Whether the output still comes before the commands when these act `removed_s` later.
+    pub(crate) fn is_before(&self, removed_s: f64) -> bool {
+        self.delay_s - removed_s < -SIGNIFICANT_SD * self.sd_s
+    }
+}
+
+/// How fast a clock runs away from another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Drift {
+    /// Seconds per second; positive when the commands' clock is slow, so that they act later and later.
+    pub rate: f64,
+    /// Its standard error.
+    pub sd: f64,
+}
+
+impl Drift {
+    /// Whether it is more than chance explains.
+    pub(crate) fn is_significant(&self) -> bool {
+        self.rate.abs() > SIGNIFICANT_SD * self.sd
+    }
+}
+
+/// When commands act.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Timing {
+    /// How much later than their times, in the middle of the record, seconds.
+    pub delay_s: f64,
+    /// How much later still for each second from the middle on: 1e-6 if their clock is fast by 1 ppm.
+    pub drift: f64,
+}
+
+/// Current timing and model of a search.
 #[derive(Debug, Clone)]
 struct State {
-    delay_s: f64,
+    timing: Timing,
     model: Polynomials,
 }
 
 impl State {
-    /// By a step of the model's parameters and then of the delay.
+    /// By a step of the model's parameters, then of the delay, then of the drift if that is free.
     fn moved(&self, step: &DVector<f64>) -> Self {
         let of_model = self.model.parameters().len();
+        let further = |k: usize| step.get(of_model + k).copied().unwrap_or(0.0);
         Self {
-            delay_s: self.delay_s + step.get(of_model).copied().unwrap_or(0.0),
+            timing: Timing { delay_s: self.timing.delay_s + further(0), drift: self.timing.drift + further(1) },
             model: self.model.moved(&step.rows(0, of_model).into_owned()),
         }
     }
 }
 
-/// Estimates the delay within [`MAX_DELAY`] periods. `segments` gives the data for a delay of the commands: the same
-/// samples for every delay. `None` when no model fits, or the best delay is outside the range or uncertain by more.
-pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>> + Sync) -> Option<Delay> {
-    let search = Search { period_s, segments: &segments };
+/// Estimates the delay within [`MAX_DELAY`] periods. `segments` gives the data for a timing of the commands: the same
+/// samples for every timing. If the commands have a clock of their own, its drift is estimated too: `own_clock` is then
+/// the middle of the record, seconds. `None` when no model fits, or the best delay is outside the range or uncertain by more.
+pub(crate) fn estimate(
+    period_s: f64,
+    own_clock: Option<f64>,
+    segments: impl Fn(Timing) -> Option<Vec<Segment>> + Sync,
+) -> Option<Delay> {
+    let search = Search { period_s, own_clock, segments: &segments };
     // 1. from many delays and models
     let steps = (MAX_DELAY / START_SPACING) as i32;
     let delays: Vec<f64> = (-steps..=steps).map(|k| f64::from(k) * START_SPACING * period_s).collect();
     let mut found: Vec<Lowest<State>> = delays
         .par_iter()
         .flat_map(|delay_s| {
-            let models = initial(&segments(*delay_s).unwrap_or_default());
-            models.into_par_iter().filter_map(|model| search.run(State { delay_s: *delay_s, model }, FIRST_STEPS))
+            let timing = Timing { delay_s: *delay_s, drift: 0.0 };
+            let models = initial(&segments(timing).unwrap_or_default());
+            let search = &search;
+            models.into_par_iter().filter_map(move |model| search.run(State { timing, model }, FIRST_STEPS))
         })
         .collect();
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
@@ -93,16 +143,17 @@ pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segme
         .filter_map(|first| search.run(first.at, FINAL_STEPS))
         .min_by(|a, b| a.cost.total_cmp(&b.cost))?;
     let (best, cost) = (best.at, best.cost);
-    if best.delay_s.abs() > MAX_DELAY * period_s {
+    if best.timing.delay_s.abs() > MAX_DELAY * period_s {
         return None;
     }
     // 3. uncertainty
-    let samples: usize = segments(best.delay_s)?.iter().map(Segment::observed).sum();
-    let sd_s = search.standard_error(&best)?.hypot(METHOD_ERROR * period_s);
+    let Uncertainty { of_delay_s, of_drift, zero, samples } = search.uncertainty(&best)?;
+    let sd_s = of_delay_s.hypot(METHOD_ERROR * period_s);
     if sd_s > MAX_DELAY * period_s {
         return None;
     }
-    Some(Delay { delay_s: best.delay_s, sd_s, residual_rms: (cost / samples as f64).sqrt() })
+    let drift = of_drift.map(|sd| Drift { rate: best.timing.drift, sd });
+    Some(Delay { delay_s: best.timing.delay_s, sd_s, drift, zero, residual_rms: (cost / samples as f64).sqrt() })
 }
 
 /// Initial models: ARX of second order, and ARX of first order with a second, nearly cancelled state.
@@ -120,75 +171,87 @@ fn initial(data: &[Segment]) -> Vec<Polynomials> {
     second.into_iter().chain(two_states).collect()
 }
 
-/// Derivatives with respect to model and delay, and residual, of all samples as a triangle.
-fn linearise(data: &[Segment], model: &Polynomials, by_delay: &[Vec<f64>]) -> DMatrix<f64> {
-    let mut triangle = Triangle::new(model.na() + model.nb() + 2);
-    for (segment, by_delay) in data.iter().zip(by_delay) {
-        each_row(segment, model, Some(by_delay), |row| triangle.push(row.iter().copied()));
-    }
-    triangle.finish()
+/// σ of what was found.
+struct Uncertainty {
+    of_delay_s: f64,
+    of_drift: Option<f64>,
+    zero: Option<Zero>,
+    samples: usize,
 }
 
 struct Search<'a, F> {
     period_s: f64,
+    own_clock: Option<f64>,
     segments: &'a F,
 }
 
-impl<F: Fn(f64) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
-    fn cost(&self, State { delay_s, model }: &State) -> f64 {
+impl<F: Fn(Timing) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
+    fn cost(&self, State { timing, model }: &State) -> f64 {
         // The search does not go far outside the range.
-        if delay_s.abs() > (MAX_DELAY + START_SPACING) * self.period_s || !model.is_stable() {
+        let outside = timing.delay_s.abs() > (MAX_DELAY + START_SPACING) * self.period_s;
+        if outside || timing.drift.abs() > MAX_DRIFT || !model.is_stable() {
             return f64::INFINITY;
         }
-        (self.segments)(*delay_s).map_or(f64::INFINITY, |data| squares(&data, model))
+        (self.segments)(*timing).map_or(f64::INFINITY, |data| squares(&data, model))
     }
 
-    /// Derivative of the simulated output with respect to the delay, per second.
-    fn by_delay(&self, State { delay_s, model }: &State, data: &[Segment]) -> Option<Vec<Vec<f64>>> {
+    /// Derivatives of the simulated output with respect to the delay, per second, and to the drift if that is free.
+    fn by_timing(&self, State { timing, model }: &State, data: &[Segment]) -> Option<Vec<DMatrix<f64>>> {
         let step = HALF_STEP * self.period_s;
-        let (later, earlier) = ((self.segments)(delay_s + step)?, (self.segments)(delay_s - step)?);
+        let at = |by: f64| (self.segments)(Timing { delay_s: timing.delay_s + by, ..*timing });
+        let (later, earlier) = (at(step)?, at(-step)?);
         let same = |s: &Segment, other: &Segment| s.first == other.first && s.len() == other.len();
         let pairs = || data.iter().zip(later.iter().zip(&earlier));
         if later.len() != data.len() || !pairs().all(|(s, (l, e))| same(s, l) && same(s, e)) {
             return None;
         }
-        let change = |later: &Segment, earlier: &Segment| -> Vec<f64> {
-            let change =
-                later.input.iter().zip(&earlier.input).map(|(l, e)| (l - e) / (2.0 * step)).collect::<Vec<_>>();
-            model.simulate(&change)
+        let change = |segment: &Segment, later: &Segment, earlier: &Segment| {
+            let change = later.input.iter().zip(&earlier.input).map(|(l, e)| (l - e) / (2.0 * step));
+            let change: Vec<f64> = change.collect();
+            let mut columns = vec![DVector::from_vec(model.simulate(&change))];
+            columns.extend(self.own_clock.map(|middle_s| {
+                let times = (0..change.len()).map(|k| segment.start_s + k as f64 * self.period_s - middle_s);
+                let growing: Vec<f64> = change.iter().zip(times).map(|(change, t)| change * t).collect();
+                DVector::from_vec(model.simulate(&growing))
+            }));
+            DMatrix::from_columns(&columns)
         };
-        Some(pairs().map(|(_, (l, e))| change(l, e)).collect())
+        Some(pairs().map(|(s, (l, e))| change(s, l, e)).collect())
     }
 
     fn run(&self, start: State, max_steps: usize) -> Option<Lowest<State>> {
-        let triangle = |state: &State| {
-            let data = (self.segments)(state.delay_s)?;
-            let by_delay = self.by_delay(state, &data)?;
-            Some(linearise(&data, &state.model, &by_delay))
+        let derivatives = |state: &State| {
+            let data = (self.segments)(state.timing)?;
+            let by_timing = self.by_timing(state, &data)?;
+            Some(triangle(&data, &linearised(&data, &state.model, Derivatives::And(&by_timing))))
         };
-        Descent { max_steps, ..DESCENT }.run(start, |state| self.cost(state), triangle, State::moved)
+        Descent { max_steps, ..DESCENT }.run(start, |state| self.cost(state), derivatives, State::moved)
     }
 
-    /// Standard error of the delay, from the scores of all samples and their correlation over time.
-    fn standard_error(&self, state: &State) -> Option<f64> {
-        let data = (self.segments)(state.delay_s)?;
-        let by_delay = self.by_delay(state, &data)?;
-        let solution = solve(linearise(&data, &state.model, &by_delay))?;
-        // The last row of R⁻¹ R⁻ᵀ, applied to a row of derivatives, is that sample's weight in the delay.
-        let weights = &solution.inverse * solution.inverse.row(solution.inverse.nrows() - 1).transpose();
-        let mut variance = 0.0;
-        for (segment, by_delay) in data.iter().zip(&by_delay) {
-            let mut scores = Vec::with_capacity(segment.len());
-            each_row(segment, &state.model, Some(by_delay), |row| {
-                let (residual, derivatives) = row.split_last().unwrap_or((&0.0, &[]));
-                scores.push(residual * derivatives.iter().zip(weights.iter()).map(|(d, w)| d * w).sum::<f64>());
-            });
-            let lags = (4.0 * (scores.len() as f64 / 100.0).powf(2.0 / 9.0)).ceil() as usize;
-            let at_lag = |lag: usize| scores.iter().zip(scores.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>();
-            let bartlett = |lag: usize| 1.0 - lag as f64 / (lags + 1) as f64;
-            variance += at_lag(0) + (1..=lags).map(|lag| 2.0 * bartlett(lag) * at_lag(lag)).sum::<f64>();
-        }
-        (variance > 0.0).then(|| variance.sqrt())
+    fn uncertainty(&self, state: &State) -> Option<Uncertainty> {
+        let data = (self.segments)(state.timing)?;
+        let by_timing = self.by_timing(state, &data)?;
+        let rows = linearised(&data, &state.model, Derivatives::And(&by_timing));
+        let solution = solve(triangle(&data, &rows))?;
+        let parts = data.iter().zip(rows).map(|(segment, rows)| derivatives_and_residual(segment, rows));
+        let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
+        let samples: usize = data.iter().map(Segment::observed).sum();
+        let freedom = samples.checked_sub(derivatives.first()?.ncols()).filter(|n| *n > 0)?;
+        let variance = solution.residual / freedom as f64;
+        let colour = Colour::of(&residuals);
+        let covariance = Covariance::from_factor(colour.factor(&derivatives, &solution.inverse) * variance.sqrt());
+        let model = state.model.parameters();
+        let sds = covariance.standard_errors();
+        let (of_delay_s, of_drift) = (*sds.get(model.len())?, sds.get(model.len() + 1).copied());
+        let timing = [state.timing.delay_s, state.timing.drift];
+        let parameters: Vec<f64> = model.iter().copied().chain(timing).take(sds.len()).collect();
+        let residual = |p: &[f64]| {
+            let (of_model, of_timing) = p.split_at_checked(model.len())?;
+            let timing = Timing { delay_s: *of_timing.first()?, drift: of_timing.get(1).copied().unwrap_or_default() };
+            Some(output_error::residuals(&(self.segments)(timing)?, &state.model.with_parameters(of_model)))
+        };
+        let zero = zero::zero(&parameters, &covariance, residual, (&colour, variance));
+        Some(Uncertainty { of_delay_s, of_drift, zero, samples })
     }
 }
 
@@ -203,22 +266,26 @@ mod tests {
     const SAMPLES: usize = 1800;
 
     /// A chirp commanded at 60 Hz drives Eq. 7 of the paper; the camera has its own 60 Hz clock and sees the commands
-    /// act `delay_s` later.
-    fn estimated(delay_s: f64, seed: u64) -> Delay {
+    /// act `delay_s` later, and later by `drift` from the middle on. θ is `zero` too high.
+    fn estimated(delay_s: f64, drift: f64, zero: f64, seed: u64) -> Delay {
         let chirp = |k: usize| {
             let t = k as f64 * PERIOD_S;
             (TAU * (0.5 * t + 7.5 * t * t / 62.0)).sin()
         };
         let held = Held::new((0..SAMPLES + 60).map(|k| (k as f64 * PERIOD_S, chirp(k))).collect());
         let plant = Polynomials { a: vec![1.0, -1.926_049, 0.926_353], b: vec![283.4, -281.7], nk: 1 };
-        let drive = |delay_s: f64| -> Vec<f64> {
-            let at = |k: usize| 0.2 + (k as f64 + 0.3) * PERIOD_S - delay_s;
+        let middle_s = 0.5 * SAMPLES as f64 * PERIOD_S;
+        let drive = |timing: Timing| -> Vec<f64> {
+            let held = held.drifted(timing.drift, middle_s + 0.2);
+            let at = |k: usize| 0.2 + (k as f64 + 0.3) * PERIOD_S - timing.delay_s;
             (0..SAMPLES).filter_map(|k| Some(2.4e-4 * held.mean(at(k), at(k + 1))?)).collect()
         };
         let noisy = noise(seed, SAMPLES);
-        let output: Vec<f64> = plant.simulate(&drive(delay_s)).iter().zip(noisy).map(|(y, e)| y + 0.002 * e).collect();
-        estimate(PERIOD_S, |delay_s| {
-            Some(vec![Segment { input: drive(delay_s), output: output.clone(), ..Segment::default() }])
+        let clean = plant.simulate(&drive(Timing { delay_s, drift }));
+        let output: Vec<f64> = clean.iter().zip(noisy).map(|(y, e)| y + zero + 0.002 * e).collect();
+        estimate(PERIOD_S, (drift != 0.0).then_some(middle_s), |timing| {
+            let by_zero = Some(vec![0.0; SAMPLES]);
+            Some(vec![Segment { input: drive(timing), output: output.clone(), by_zero, ..Segment::default() }])
         })
         .unwrap()
     }
@@ -227,7 +294,7 @@ mod tests {
     fn the_delay_is_found_wherever_it_is() {
         for k in 0..25 {
             let truth = -0.03 + 0.005 * f64::from(k);
-            let found = estimated(truth, 1);
+            let found = estimated(truth, 0.0, 0.0, 1);
             assert!((found.delay_s - truth).abs() < 4.0 * found.sd_s && found.sd_s < 3e-4, "{truth}: {found:?}");
         }
     }
@@ -239,21 +306,25 @@ mod tests {
         let drive = |delay_s: f64| -> Vec<f64> {
             (0..300).map(|k| 1e-12 * (TAU * 3.0 * (f64::from(k) * PERIOD_S - delay_s)).sin()).collect()
         };
-        let found = estimate(PERIOD_S, |delay_s| {
-            Some(vec![Segment { input: drive(delay_s), output: output.clone(), ..Segment::default() }])
+        let found = estimate(PERIOD_S, None, |timing| {
+            Some(vec![Segment { input: drive(timing.delay_s), output: output.clone(), ..Segment::default() }])
         });
         assert_eq!(found, None);
     }
 
     #[test]
     fn errors_are_as_large_as_the_noise_says() {
-        let mut squares = 0.0;
+        let mut squares = [0.0; 3];
         for seed in 1..=20 {
-            let found = estimated(0.02, seed);
+            let found = estimated(0.02, 2e-4, 0.01, seed);
             // Here the model is exact: the method adds nothing.
             let of_noise = (found.sd_s.powi(2) - (METHOD_ERROR * PERIOD_S).powi(2)).sqrt();
-            squares += ((found.delay_s - 0.02) / of_noise).powi(2) / 20.0;
+            let (drift, zero) = (found.drift.unwrap(), found.zero.unwrap());
+            let errors =
+                [(found.delay_s - 0.02) / of_noise, (drift.rate - 2e-4) / drift.sd, (zero.offset - 0.01) / zero.sd];
+            squares.iter_mut().zip(errors).for_each(|(sum, error)| *sum += error.powi(2) / 20.0);
+            assert!(drift.is_significant() && zero.is_off(), "{found:?}");
         }
-        assert!((0.4..1.9).contains(&squares), "{squares}");
+        assert!(squares.iter().all(|s| (0.4..1.9).contains(s)), "{squares:?}");
     }
 }

@@ -1,6 +1,7 @@
 //! Reasons why a result is less reliable than it looks, in words.
 
 use super::model::Orders;
+use super::outliers::Outliers;
 use std::fmt;
 
 /// Fraction of the output's energy that follows the input above which the input is the right one.
@@ -61,6 +62,38 @@ pub enum Diagnostic {
         what: &'static str,
         /// Mean over standard deviation.
         ratio: f64,
+    },
+    /// Outputs that are far from their neighbours.
+    Outlying {
+        /// The record.
+        record: String,
+        /// How many, and the worst.
+        outliers: Outliers,
+    },
+    /// An output that stays at its limit.
+    AtLimit {
+        /// The record.
+        record: String,
+        /// How often.
+        count: usize,
+        /// The limit, unit of the output.
+        value: f64,
+    },
+    /// The system was not at rest when the record began.
+    NotAtRest {
+        /// Simulation error from rest, % of the energy.
+        from_rest: f64,
+        /// The same from the state that fits best.
+        from_estimated: f64,
+    },
+    /// A torque moves the angle against its direction.
+    AgainstTorque {
+        /// The model.
+        title: String,
+        /// Phase of the response, degrees.
+        phase_deg: f64,
+        /// At this frequency, Hz.
+        frequency_hz: f64,
     },
     /// The best orders are the largest of those searched.
     AtEdge {
@@ -195,6 +228,27 @@ impl fmt::Display for Diagnostic {
             Self::OffCentre { what, ratio } => {
                 write!(f, "the mean of the {what} is {ratio:.1} times its spread: --detrend mean takes it off")
             }
+            Self::Outlying { record, outliers: Outliers { count, sample, time_s, value, modelled } } => write!(
+                f,
+                "{record}: {} far from what comes before and after, the worst {value:.6} at sample {sample}, \
+                 {time_s:.3} s, where {modelled:.6} is expected: correct wrong values, or leave the cells empty",
+                if *count == 1 { "an output is".to_owned() } else { format!("{count} outputs are") }
+            ),
+            Self::AtLimit { record, count, value } => write!(
+                f,
+                "{record}: {count} outputs are exactly {value:.6}, and none is beyond: where a scale ends the model \
+                 is wrong; leave these cells empty"
+            ),
+            Self::NotAtRest { from_rest, from_estimated } => write!(
+                f,
+                "simulated from rest the refined model leaves {from_rest:.3} % of the energy, and {from_estimated:.3} \
+                 % from the state that fits best: the records do not begin at rest; use --start estimated"
+            ),
+            Self::AgainstTorque { title, phase_deg, frequency_hz } => write!(
+                f,
+                "{title}: at {frequency_hz:.2} Hz the angle leads the torque by {phase_deg:.0}°, so that a torque \
+                 moves it the wrong way: is the sign of the current or of θ wrong?"
+            ),
             Self::Coloured { outside: (n, of) } => write!(
                 f,
                 "residuals of the full model are not white ({n} of {of} lags out of the 99 % bound): its standard \

@@ -1,12 +1,13 @@
 //! Warnings to read before using the numbers.
 
 use super::continuous::Conversion;
-use super::data::Data;
+use super::data::{Data, Record};
 use super::diagnostic::Diagnostic;
-use super::fit::Kind;
-use super::identification::Identification;
-use super::model::Orders;
+use super::fit::{InitialState, Kind};
+use super::identification::{Fit, Identification};
+use super::model::{Orders, angle};
 use super::modelled::Role;
+use super::outliers;
 use super::residuals::{Residuals, too_many};
 use super::spectrum::Spectrum;
 
@@ -14,6 +15,8 @@ use super::spectrum::Spectrum;
 const ILL_CONDITIONED: f64 = 1e10;
 /// Ratio of sampling rate to the output's highest frequency beyond which higher orders are useless.
 const OVERSAMPLED: f64 = 10.0;
+/// Factor between simulation errors from rest and from another state that is reported.
+const MUCH_BETTER: f64 = 2.0;
 /// Ratio of mean to standard deviation that is reported.
 const OFFSET_RATIO: f64 = 1.0;
 /// Distance of a stable pole from the unit circle below which its gain is hardly known.
@@ -78,6 +81,9 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
         None => diagnostics.push(Diagnostic::NoSpectrum),
     }
     diagnostics.extend(off_centre(data));
+    diagnostics.extend(wrong_values(data, done));
+    diagnostics.extend(not_at_rest(data, done));
+    diagnostics.extend(against_torque(data, done));
     if let Some(residuals) = &done.residuals {
         let has_instrument = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
         diagnostics.extend(correlated(residuals, has_instrument));
@@ -173,6 +179,43 @@ fn off_centre(data: &Data) -> Vec<Diagnostic> {
         .filter(|(_, ratio)| *ratio > OFFSET_RATIO)
         .map(|(what, ratio)| Diagnostic::OffCentre { what, ratio })
         .collect()
+}
+
+/// Values of the fitted records that cannot be right.
+fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
+    let model = done.leading().filter(|model| model.is_stable());
+    let outlying = |record: &Record| {
+        let outliers = outliers::outliers(&model?.model, record, data.period_s)?;
+        Some(Diagnostic::Outlying { record: record.name.clone(), outliers })
+    };
+    let at_limit = |record: &Record| {
+        let (count, value) = outliers::limit(record)?;
+        Some(Diagnostic::AtLimit { record: record.name.clone(), count, value })
+    };
+    data.training.iter().flat_map(|record| [outlying(record), at_limit(record)]).flatten().collect()
+}
+
+/// Whether the refined model simulates the fitted records much better from another state than from rest.
+fn not_at_rest(data: &Data, done: &Identification) -> Option<Diagnostic> {
+    let name = &data.training.iter().find(|record| record.is_from_rest())?.name;
+    let error = |state: InitialState| {
+        let of =
+            |f: &&Fit| f.training && f.role == Role::Refined && f.record == *name && f.kind == Kind::Simulation(state);
+        done.fits.iter().find(of).map(|f| f.error.error_percent)
+    };
+    let (from_rest, from_estimated) = (error(InitialState::Rest)?, error(InitialState::Estimated)?);
+    (from_rest > MUCH_BETTER * from_estimated).then_some(Diagnostic::NotAtRest { from_rest, from_estimated })
+}
+
+/// Whether Eq. 6 has a wrong sign: the refined model's angle leads the torque by more than a quarter turn where the
+/// excitation begins.
+fn against_torque(data: &Data, done: &Identification) -> Option<Diagnostic> {
+    let of_torque = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
+    let model = done.model(Role::Refined).filter(|_| of_torque)?;
+    let frequency_hz = done.spectrum.as_ref()?.excited_hz.0;
+    let phase_deg = model.model.response(angle(frequency_hz, data.period_s)).arg().to_degrees();
+    let title = model.title.clone();
+    (phase_deg > 90.0).then_some(Diagnostic::AgainstTorque { title, phase_deg, frequency_hz })
 }
 
 fn correlated(residuals: &Residuals, has_instrument: bool) -> Vec<Diagnostic> {

@@ -152,6 +152,10 @@ fn records(provenance: &Provenance) -> Vec<Value> {
             "duration_s": record.duration_s,
             "delay_s": record.delay.as_ref().map(|d| d.delay_s),
             "delay_standard_error_s": record.delay.as_ref().map(|d| d.sd_s),
+            "currents_clock_ppm": record.delay.as_ref().and_then(|d| d.drift).map(|drift| -1e6 * drift.rate),
+            "currents_clock_standard_error_ppm": record.delay.as_ref().and_then(|d| d.drift).map(|drift| 1e6 * drift.sd),
+            "zero_rad": record.zero.map(|z| z.offset),
+            "zero_standard_error_rad": record.zero.map(|z| z.sd),
         })
     };
     provenance.records.iter().map(one).collect()

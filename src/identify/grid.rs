@@ -29,6 +29,8 @@ pub(crate) struct Series {
     pub output: Vec<Option<f64>>,
     /// Computes the input from current and output, by Eq. 6.
     pub plant: Option<Plant>,
+    /// Whether the output's zero is to be fitted.
+    pub fit_zero: bool,
 }
 
 /// Why times do not form a grid.
@@ -194,12 +196,14 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
     let first_s = series.time_s.first().copied().unwrap_or(0.0);
     let mut angle = output.clone();
     let bridged = if series.plant.is_some() { fill(&mut angle, bridge) } else { 0 };
+    let halfway_at = |place: usize| Some(halfway(place.checked_sub(1).and_then(|before| angle[before]), angle[place]?));
     let input_at = |place: usize| match series.plant {
         None => drive[place],
-        Some(plant) => {
-            let before = place.checked_sub(1).and_then(|before| angle[before]);
-            Some(plant.torque_nm(drive[place]?, halfway(before, angle[place]?)))
-        }
+        Some(plant) => Some(plant.torque_nm(drive[place]?, halfway_at(place)?)),
+    };
+    let by_zero_at = |place: usize| match series.plant {
+        None => Some(0.0),
+        Some(plant) => Some(plant.torque_by_zero(drive[place]?, halfway_at(place)?)),
     };
     let input: Vec<Option<f64>> = (0..length).map(input_at).collect();
     let mut segments: Vec<Segment> = Vec::new();
@@ -212,6 +216,8 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
             input: input[from..to].iter().flatten().copied().collect(),
             output: output[from..to].iter().map(|y| y.unwrap_or(f64::NAN)).collect(),
             instrument: series.plant.map(|_| drive[from..to].iter().flatten().copied().collect()),
+            by_zero: series.fit_zero.then(|| (from..to).filter_map(by_zero_at).collect()),
+            record: 0,
             // Before the first drive it was zero; before a missed angle it may have been anything.
             from_rest: segments.is_empty() && drive[..from].iter().all(Option::is_none),
         });
@@ -304,6 +310,7 @@ pub(crate) fn resample(series: &Series, period_s: Option<f64>) -> Result<Series,
         output: time_s.iter().map(output).collect(),
         drive: time_s.iter().map(drive).collect(),
         plant: series.plant,
+        fit_zero: series.fit_zero,
         time_s,
     })
 }
@@ -318,7 +325,7 @@ mod tests {
             time_s: time_s.to_vec(),
             drive: time_s.iter().map(|t| Some(10.0 * t)).collect(),
             output: time_s.iter().map(|t| Some(of(*t))).collect(),
-            plant: None,
+            ..Series::default()
         }
     }
 

@@ -71,6 +71,17 @@ impl Held {
         held
     }
 
+    /// The same commands by a clock that runs slower by `rate`, and agrees at `about_s`.
+    pub(crate) fn drifted(&self, rate: f64, about_s: f64) -> Self {
+        let later = |t: &f64| t * (1.0 + rate) - about_s * rate;
+        Self::new(self.time_s.iter().map(later).zip(self.value.iter().copied()).collect())
+    }
+
+    /// The largest command either way.
+    pub(crate) fn largest(&self) -> Option<f64> {
+        self.value.iter().map(|value| value.abs()).max_by(f64::total_cmp)
+    }
+
     /// First and last command, seconds.
     pub(crate) fn span_s(&self) -> Option<(f64, f64)> {
         self.time_s.first().copied().zip(self.time_s.last().copied())

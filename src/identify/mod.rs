@@ -40,6 +40,7 @@ pub(crate) mod instrumental;
 pub(crate) mod output_error;
 pub(crate) mod search;
 mod subspace;
+pub(crate) mod zero;
 
 mod balance;
 pub(crate) mod gramian;
@@ -56,6 +57,7 @@ pub(crate) mod bandwidth;
 pub(crate) mod bootstrap;
 pub(crate) mod fit;
 pub(crate) mod modelled;
+mod outliers;
 pub(crate) mod residuals;
 pub(crate) mod spectrum;
 pub(crate) mod uncertainty;

@@ -3,7 +3,8 @@
 //! In: segments, a stable initial model. Out: the model whose simulation is nearest to the output, with covariance.
 //! This is the right model for white noise on the measured output, where ARX is biased. Derivatives are filtered
 //! signals (Ljung, 2nd ed., section 10.3): ∂ŷ/∂b_j = q^−(nk+j)/A u, ∂ŷ/∂a_i = −q^−i/A ŷ. A step to an unstable model is
-//! never taken. The initial state of a segment that does not begin at rest is also fitted.
+//! never taken. The initial state of a segment that does not begin at rest is also fitted, and the output's zero where it
+//! is not known.
 //!
 //! Finds a local minimum. Its covariance holds for white e, and for an input without noise.
 
@@ -15,7 +16,9 @@ use super::estimated::{Estimated, Refined};
 use super::model::{Polynomials, all_pole};
 use super::regression::{Triangle, solve};
 use super::uncertainty::Covariance;
+use super::zero::{self, Columns};
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
+use std::collections::BTreeSet;
 
 const DESCENT: Descent = Descent { first_damping: 1e-4, tolerance: 1e-12, max_steps: 100 };
 
@@ -48,15 +51,11 @@ pub(crate) fn refine_from_any(segments: &[Segment], initial: &[Polynomials]) -> 
 /// As [`nearest`], and [`IdentifyError::Dependent`] when the derivatives do not determine the parameters.
 pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
     let Nearest { model, noise_variance, samples, steps, converged } = nearest(segments, initial)?;
-    let parts = segments.iter().map(|segment| derivatives_and_residual(segment, &model));
-    let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
-    let mut triangle = Triangle::new(model.na() + model.nb() + 1);
-    for (derivatives, residual) in derivatives.iter().zip(&residuals) {
-        let rows = derivatives.row_iter().zip(residual);
-        rows.for_each(|(row, left)| triangle.push(row.iter().chain([left]).copied()));
-    }
+    let linearised = linearised(segments, &model, Derivatives::OfModel);
     let dependent = || IdentifyError::Dependent { orders: model.orders() };
-    let solution = solve(triangle.finish()).ok_or_else(dependent)?;
+    let solution = solve(triangle(segments, &linearised)).ok_or_else(dependent)?;
+    let parts = segments.iter().zip(linearised).map(|(segment, rows)| derivatives_and_residual(segment, rows));
+    let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
     let factor = Colour::of(&residuals).factor(&derivatives, &solution.inverse);
     let estimated = Estimated {
         model,
@@ -91,7 +90,8 @@ pub(crate) fn nearest(segments: &[Segment], initial: &Polynomials) -> Result<Nea
     let samples: usize = segments.iter().map(Segment::observed).sum();
     // Each segment that does not begin at rest has its own initial state.
     let states: usize = segments.iter().filter_map(|s| free_initial_state(s, initial)).map(|open| open.ncols()).sum();
-    let parameters = orders.parameters() + states;
+    let zeros: BTreeSet<usize> = segments.iter().filter(|s| s.by_zero.is_some()).map(|s| s.record).collect();
+    let parameters = orders.parameters() + states + zeros.len();
     if samples <= parameters {
         let longest = segments.iter().map(Segment::len).max().unwrap_or(0);
         return Err(IdentifyError::TooShort { orders, rows: samples, longest });
@@ -116,6 +116,19 @@ fn free_initial_state(segment: &Segment, model: &Polynomials) -> Option<DMatrix<
     Some(DMatrix::from_fn(segment.len(), model.memory(), known).qr().q())
 }
 
+/// Residuals from which the output's zero is not projected out, as one column for each segment.
+pub(super) fn residuals(segments: &[Segment], model: &Polynomials) -> Vec<Columns> {
+    segments.iter().map(|segment| columns(segment, model, Derivatives::None, None)).collect()
+}
+
+/// Derivatives and residual apart; the residual is NaN where nothing was observed.
+pub(super) fn derivatives_and_residual(segment: &Segment, rows: DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
+    let last = rows.ncols() - 1;
+    let seen = |(left, y): (&f64, &f64)| if y.is_nan() { f64::NAN } else { *left };
+    let residual = rows.column(last).iter().zip(&segment.output).map(seen).collect();
+    (rows.remove_column(last), residual)
+}
+
 /// Removes the part of `signal` in the span of `open`; returns the removed part.
 fn project_out(open: &DMatrix<f64>, signal: &mut DVectorViewMut<'_, f64>) -> DVector<f64> {
     let part = open * open.tr_mul(signal);
@@ -123,82 +136,81 @@ fn project_out(open: &DMatrix<f64>, signal: &mut DVectorViewMut<'_, f64>) -> DVe
     part
 }
 
-/// Output from rest, and the residual of the observed output without the free initial state; zero where nothing was
-/// observed.
-fn residual(segment: &Segment, model: &Polynomials, open: Option<&DMatrix<f64>>) -> (Vec<f64>, DVector<f64>) {
-    let mut output = model.simulate(&segment.input);
-    let mut left = DVector::from_iterator(
-        output.len(),
-        segment.output.iter().zip(&output).map(|(y, m)| if y.is_nan() { 0.0 } else { y - m }),
-    );
-    if let Some(open) = open {
-        let free = project_out(open, &mut left.rows_mut(0, output.len()));
-        output.iter_mut().zip(free.iter()).for_each(|(y, free)| *y += free);
-    }
-    (output, left)
-}
-
 /// Sum of squared residuals; infinite where the simulation diverges.
 pub(super) fn squares(segments: &[Segment], model: &Polynomials) -> f64 {
-    let of = |s: &Segment| residual(s, model, free_initial_state(s, model).as_ref()).1.norm_squared();
-    let sum: f64 = segments.iter().map(of).sum();
+    let sum: f64 = linearised(segments, model, Derivatives::None).iter().map(DMatrix::norm_squared).sum();
     if sum.is_finite() { sum } else { f64::INFINITY }
 }
 
 /// Derivatives and residual of all samples as a triangle.
 fn linearise(segments: &[Segment], model: &Polynomials) -> DMatrix<f64> {
-    let mut triangle = Triangle::new(model.na() + model.nb() + 1);
-    for segment in segments {
-        each_row(segment, model, None, |row| triangle.push(row.iter().copied()));
+    triangle(segments, &linearised(segments, model, Derivatives::OfModel))
+}
+
+/// The rows of the observed samples as a triangle.
+pub(super) fn triangle(segments: &[Segment], rows: &[DMatrix<f64>]) -> DMatrix<f64> {
+    let mut triangle = Triangle::new(rows.first().map_or(0, DMatrix::ncols));
+    for (segment, rows) in segments.iter().zip(rows) {
+        for (_, row) in rows.row_iter().enumerate().filter(|(t, _)| !segment.output[*t].is_nan()) {
+            triangle.push(row.iter().copied());
+        }
     }
     triangle.finish()
 }
 
-/// Derivatives of a segment's samples, a row each, and their residuals; zero and NaN where nothing was observed.
-fn derivatives_and_residual(segment: &Segment, model: &Polynomials) -> (DMatrix<f64>, Vec<f64>) {
-    let width = model.na() + model.nb();
-    let (mut derivatives, mut residual) = (DMatrix::zeros(segment.len(), width), vec![f64::NAN; segment.len()]);
-    let mut observed = (0..segment.len()).filter(|t| !segment.output[*t].is_nan());
-    each_row(segment, model, None, |row| {
-        if let Some(t) = observed.next() {
-            derivatives.row_mut(t).iter_mut().zip(row).for_each(|(to, from)| *to = *from);
-            residual[t] = row[width];
-        }
-    });
-    (derivatives, residual)
+/// Which derivatives of the simulated output are wanted.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Derivatives<'a> {
+    None,
+    /// With respect to [`Polynomials::parameters`].
+    OfModel,
+    /// These, and then those with respect to further parameters, a column each, given for each segment.
+    And(&'a [DMatrix<f64>]),
 }
 
-/// Passes `take` a row for each observed sample: derivatives of the simulated output with respect to
-/// [`Polynomials::parameters`], then `further`, the derivative with respect to one more parameter, then the residual.
-pub(super) fn each_row(segment: &Segment, model: &Polynomials, further: Option<&[f64]>, mut take: impl FnMut(&[f64])) {
+/// For each segment a row per sample: the derivatives of the simulated output, then the residual; zero where nothing
+/// was observed. Initial states and the output's zero are projected out where they are free.
+pub(super) fn linearised(segments: &[Segment], model: &Polynomials, wanted: Derivatives<'_>) -> Vec<DMatrix<f64>> {
+    let further = |k: usize| if let Derivatives::And(further) = wanted { further.get(k) } else { None };
+    let of = |(k, segment)| columns(segment, model, wanted, further(k));
+    let mut all: Vec<Columns> = segments.iter().enumerate().map(of).collect();
+    zero::project_out(&mut all);
+    all.into_iter().map(|columns| columns.matrix).collect()
+}
+
+/// The columns of one segment, without its initial state.
+fn columns(segment: &Segment, model: &Polynomials, wanted: Derivatives<'_>, further: Option<&DMatrix<f64>>) -> Columns {
     let (na, nb, nk) = (model.na(), model.nb(), model.nk);
     let open = free_initial_state(segment, model);
-    let (output, left) = residual(segment, model, open.as_ref());
-    let by_input = all_pole(&model.a, segment.input.clone());
-    let by_output = all_pole(&model.a, output);
-    let lagged = |signal: &[f64], t: usize, lag: usize| t.checked_sub(lag).map_or(0.0, |t| signal[t]);
-    let derivative = |t: usize, k: usize| match k.checked_sub(na) {
-        None => -lagged(&by_output, t, k + 1),
-        Some(j) if j < nb => lagged(&by_input, t, nk + j),
-        Some(_) => further.and_then(|further| further.get(t)).copied().unwrap_or(0.0),
+    let mut output = model.simulate(&segment.input);
+    let seen = |t: usize, value: f64| if segment.output[t].is_nan() { 0.0 } else { value };
+    let mut left = DVector::from_fn(segment.len(), |t, _| seen(t, segment.output[t] - output[t]));
+    let mut by_zero = zero::response(segment, model).map(DVector::from_vec);
+    if let Some(open) = &open {
+        let free = project_out(open, &mut left.column_mut(0));
+        output.iter_mut().zip(free.iter()).for_each(|(y, free)| *y += free);
+        by_zero.iter_mut().for_each(|by_zero| drop(project_out(open, &mut by_zero.column_mut(0))));
+    }
+    let derivatives = match wanted {
+        Derivatives::None => 0,
+        Derivatives::OfModel => na + nb,
+        Derivatives::And(_) => na + nb + further.map_or(0, DMatrix::ncols),
     };
-    let width = na + nb + usize::from(further.is_some());
-    let observed = |t: &usize| !segment.output[*t].is_nan();
-    let mut row = vec![0.0; width + 1];
-    if let Some(open) = open {
-        let mut columns =
-            DMatrix::from_fn(segment.len(), width, |t, k| if observed(&t) { derivative(t, k) } else { 0.0 });
-        columns.column_iter_mut().for_each(|mut column| drop(project_out(&open, &mut column.as_view_mut())));
-        for t in (0..segment.len()).filter(observed) {
-            row.iter_mut().zip(columns.row(t).iter().chain([&left[t]])).for_each(|(place, value)| *place = *value);
-            take(&row);
-        }
-    } else {
-        for t in (0..segment.len()).filter(observed) {
-            for (k, place) in row.iter_mut().enumerate() {
-                *place = if k < width { derivative(t, k) } else { left[t] };
-            }
-            take(&row);
+    let mut matrix = DMatrix::zeros(segment.len(), derivatives + 1);
+    matrix.set_column(derivatives, &left);
+    if derivatives > 0 {
+        let by_input = all_pole(&model.a, segment.input.clone());
+        let by_output = all_pole(&model.a, output);
+        let lagged = |signal: &[f64], t: usize, lag: usize| t.checked_sub(lag).map_or(0.0, |t| signal[t]);
+        let derivative = |t: usize, k: usize| match k.checked_sub(na) {
+            None => -lagged(&by_output, t, k + 1),
+            Some(j) if j < nb => lagged(&by_input, t, nk + j),
+            Some(j) => further.and_then(|further| further.get((t, j - nb))).copied().unwrap_or(0.0),
+        };
+        for (k, mut column) in matrix.column_iter_mut().enumerate().take(derivatives) {
+            column.iter_mut().enumerate().for_each(|(t, place)| *place = seen(t, derivative(t, k)));
+            open.iter().for_each(|open| drop(project_out(open, &mut column)));
         }
     }
+    Columns { record: segment.record, matrix, by_zero }
 }

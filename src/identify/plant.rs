@@ -21,6 +21,11 @@ impl Plant {
         current_a * self.torque_per_ampere_nm * theta_rad.cos() - self.weight_torque_nm * theta_rad.sin()
     }
 
+    /// Change of the torque when the angle is measured from a zero that lies higher: −∂torque/∂θ, N·m per rad.
+    pub(crate) fn torque_by_zero(&self, current_a: f64, theta_rad: f64) -> f64 {
+        current_a * self.torque_per_ampere_nm * theta_rad.sin() + self.weight_torque_nm * theta_rad.cos()
+    }
+
     /// Reads `plant.toml`.
     ///
     /// # Errors
@@ -119,6 +124,8 @@ mod tests {
         assert!((plant.weight_torque_nm - 0.5e-3 * 9.80665 * 0.1).abs() < 1e-18);
         let torque = plant.torque_nm(0.1, std::f64::consts::FRAC_PI_6);
         assert!((torque - (2.4e-4 * 0.75_f64.sqrt() - 0.5 * plant.weight_torque_nm)).abs() < 1e-15);
+        let change = plant.torque_nm(0.1, 0.3 - 1e-6) - plant.torque_nm(0.1, 0.3 + 1e-6);
+        assert!((change / 2e-6 - plant.torque_by_zero(0.1, 0.3)).abs() < 1e-12);
     }
 
     #[test]

@@ -78,6 +78,8 @@ impl Trend {
         };
         off(&mut segment.input, self.input);
         off(&mut segment.output, self.output);
+        // What remains of the zero is an offset of the output alone.
+        segment.by_zero.iter_mut().flatten().for_each(|by_zero| *by_zero = 0.0);
     }
 }
 
@@ -110,6 +112,8 @@ pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record 
             start_s: segment.start_s + (skip + half) as f64 * period_s,
             output: filtered(from(&segment.output, skip)).into_iter().step_by(factor).take(input.len()).collect(),
             instrument: segment.instrument.as_deref().map(|signal| held(from(signal, skip))),
+            by_zero: segment.by_zero.as_deref().map(|signal| held(from(signal, skip))),
+            record: segment.record,
             input,
             from_rest: false,
         }

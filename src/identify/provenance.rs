@@ -2,6 +2,7 @@
 
 use super::delay::Delay;
 use super::fit::InitialState;
+use super::zero::Zero;
 
 /// One record as read.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -32,6 +33,8 @@ pub(crate) struct RecordSummary {
     pub initial_state: InitialState,
     /// Delay of the output after the commands.
     pub delay: Option<Delay>,
+    /// Zero of θ, taken off where it is off.
+    pub zero: Option<Zero>,
 }
 
 /// Origin of a result.

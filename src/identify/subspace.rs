@@ -12,7 +12,7 @@
 use super::data::Segment;
 use super::decompositions::{eigenvalues, svd};
 use super::model::{Orders, Polynomials};
-use super::output_error;
+use super::output_error::{self, Derivatives};
 use super::regression::{Triangle, solve};
 use super::state_space::characteristic;
 use nalgebra::DMatrix;
@@ -84,12 +84,10 @@ fn triangle(segments: &[Segment], reach: usize, nk: usize) -> Option<DMatrix<f64
 /// The coefficients of B for this A: the simulated output is linear in them.
 fn numerator(segments: &[Segment], poles: &Polynomials) -> Option<Polynomials> {
     let na = poles.na();
-    let mut triangle = Triangle::new(poles.nb() + 1);
-    for segment in segments {
-        // At B = 0 the residual is the output itself.
-        output_error::each_row(segment, poles, None, |row| triangle.push(row.iter().skip(na).copied()));
-    }
-    let b = solve(triangle.finish())?.parameters;
+    // At B = 0 the residual is the output itself.
+    let rows = output_error::linearised(segments, poles, Derivatives::OfModel);
+    let rows: Vec<_> = rows.into_iter().map(|rows| rows.remove_columns(0, na)).collect();
+    let b = solve(output_error::triangle(segments, &rows))?.parameters;
     b.iter().all(|b| b.is_finite()).then(|| Polynomials { b: b.as_slice().to_vec(), ..poles.clone() })
 }
 

@@ -87,6 +87,31 @@ fn errors_of_output_error_are_as_large_as_predicted_in_coloured_noise() {
     assert!(found.iter().all(|s| (0.7..1.5).contains(s)), "{found:?}");
 }
 
+/// Two records whose outputs have zeros of their own, each with a hole; the input follows the zero.
+fn with_zeros(seed: u64) -> Vec<Segment> {
+    const WEIGHT: f64 = 0.1;
+    let zeros = noise(seed + 2000, 2);
+    let record = |record: usize, zero: f64| {
+        let whole = oe_data(seed + 5000 * record as u64, 400, 1.0);
+        let response = truth().simulate(&[WEIGHT; 400]);
+        let output = whole.output.iter().zip(response).map(|(y, r)| y + 10.0 * zero * (1.0 + r)).collect();
+        let whole = Segment { output, by_zero: Some(vec![WEIGHT; 400]), record, ..whole };
+        [whole.part(0, 250, 1.0), whole.part(260, 400, 1.0)]
+    };
+    zeros.into_iter().enumerate().flat_map(|(k, zero)| record(k, zero)).collect()
+}
+
+#[test]
+fn errors_are_as_large_as_predicted_whatever_the_zeros_are() {
+    let start = fit(&[oe_data(1, 500, 0.0)], ORDERS).unwrap().model;
+    let found = scatter(|seed| output_error::refine(&with_zeros(seed), &start).unwrap().estimated);
+    assert!(found.iter().all(|s| (0.7..1.35).contains(s)), "{found:?}");
+    // Taken for exact they bend the model.
+    let exact = |seed| with_zeros(seed).into_iter().map(|s| Segment { by_zero: None, ..s }).collect::<Vec<_>>();
+    let bent = scatter(|seed| output_error::refine(&exact(seed), &start).unwrap().estimated);
+    assert!(bent.iter().any(|s| *s > 3.0), "{bent:?}");
+}
+
 fn settings(choice: Choice) -> Settings {
     Settings {
         choice,

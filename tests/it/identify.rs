@@ -115,3 +115,89 @@ fn a_delay_that_is_put_in_is_found_and_can_be_taken_out() {
     let better = errors(&model(out.path()), "refined", "simulation")[0];
     assert!(better < 0.03 && better < 0.3 * worse, "{better} {worse}");
 }
+
+/// A table of the sample with one column changed, in `folder`.
+fn changed(folder: &Path, name: &str, column: &str, change: impl Fn(usize, f64) -> f64) -> PathBuf {
+    let text = std::fs::read_to_string(sample(name)).unwrap();
+    let mut lines = text.lines();
+    let header = lines.next().unwrap();
+    let place = header.split(',').position(|name| name == column).unwrap();
+    let row = |(k, line): (usize, &str)| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if let Ok(value) = cells[place].parse() {
+            cells[place] = change(k, value).to_string();
+        }
+        cells.join(",")
+    };
+    let rows: Vec<String> = lines.enumerate().map(row).collect();
+    let path = folder.join(name);
+    std::fs::write(&path, format!("{header}\n{}\n", rows.join("\n"))).unwrap();
+    path
+}
+
+/// H(s) of the refined model, from the training record with these tables; and what was warned of.
+fn refined(record: &Path, currents: &Path, more: &[&str]) -> (Vec<f64>, Value, String) {
+    let out = tempfile::tempdir().unwrap();
+    let run = Command::new(env!("CARGO_BIN_EXE_catoptra"))
+        .arg("identify")
+        .arg(record)
+        .arg("--plant")
+        .arg(sample("plant.toml"))
+        .arg("--currents")
+        .arg(currents)
+        .args(["--order", "4", "--bootstrap", "0", "-o"])
+        .arg(out.path())
+        .args(more)
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&run.stderr).split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(run.status.success(), "{told}");
+    let found = model(out.path());
+    let h = &found["refined"]["continuous"];
+    ([numbers(&h["num"]), numbers(&h["den"])].concat(), found, told)
+}
+
+/// The zero of θ and the clock of the currents do not bend H(s), and both are told with their σ.
+#[test]
+fn a_wrong_zero_and_a_clock_that_drifts_are_found_and_do_no_harm() {
+    let folder = tempfile::tempdir().unwrap();
+    let (record, currents) = (sample("training.csv"), sample("training_currents.csv"));
+    let (clean, found, told) = refined(&record, &currents, &[]);
+    assert!(!told.contains("zero of θ") && !told.contains("clock of the currents"), "{told}");
+    let (zero, sd) = (&found["records"][0]["zero_rad"], &found["records"][0]["zero_standard_error_rad"]);
+    assert!(zero.as_f64().unwrap().abs() < 3.3 * sd.as_f64().unwrap(), "{zero} ± {sd}");
+
+    let off = changed(folder.path(), "training.csv", "theta_deg", |_, theta| theta + 0.5);
+    let (same, found, told) = refined(&off, &currents, &[]);
+    assert!(same.iter().zip(&clean).all(|(a, b)| (a / b - 1.0).abs() < 1e-3), "{same:?}, {clean:?}");
+    let zero = found["records"][0]["zero_rad"].as_f64().unwrap().to_degrees();
+    assert!((zero - 0.5).abs() < 0.01 && told.contains("the zero of θ is off by 0.50"), "{zero} {told}");
+    let (bent, _, _) = refined(&off, &currents, &["--zero", "exact"]);
+    assert!((bent.last().unwrap() / clean.last().unwrap() - 1.0).abs() > 0.5, "{bent:?}");
+
+    let fast = changed(folder.path(), "training_currents.csv", "t_s", |_, t| t * (1.0 + 5e-5));
+    let (same, found, told) = refined(&record, &fast, &["--delay", "auto"]);
+    let ppm = found["records"][0]["currents_clock_ppm"].as_f64().unwrap();
+    assert!((ppm - 50.0).abs() < 2.0 && told.contains("clock of the currents runs"), "{ppm} {told}");
+    assert!(same.iter().zip(&clean).all(|(a, b)| (a / b - 1.0).abs() < 0.02), "{same:?}, {clean:?}");
+    let (_, _, told) = refined(&record, &fast, &[]);
+    assert!(told.contains("--delay auto moves them by it") && told.contains("before the commands"), "{told}");
+}
+
+#[test]
+fn wrong_units_signs_and_values_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let (record, currents) = (sample("training.csv"), sample("training_currents.csv"));
+    let milli = changed(folder.path(), "training_currents.csv", "axial_a", |_, a| 1e3 * a);
+    let (_, _, told) = refined(&record, &milli, &[]);
+    assert!(told.contains("Eq. 6 needs amperes; are these mA?"), "{told}");
+    let turned = changed(folder.path(), "training_currents.csv", "axial_a", |_, a| -a);
+    let (_, _, told) = refined(&record, &turned, &[]);
+    assert!(told.contains("is the sign of the current or of θ wrong?"), "{told}");
+    let wrong = changed(folder.path(), "training.csv", "theta_deg", |k, y| if k == 3000 { -999.0 } else { y });
+    let (_, _, told) = refined(&wrong, &currents, &[]);
+    assert!(told.contains("the worst -17.435839 at sample 3000"), "{told}");
+    let clipped = changed(folder.path(), "training.csv", "theta_deg", |_, y| y.min(12.0));
+    let (_, _, told) = refined(&clipped, &currents, &[]);
+    assert!(told.contains("outputs are exactly 0.209440"), "{told}");
+}

@@ -25,7 +25,7 @@ const ORDERS: RangeInclusive<usize> = 1..=20;
 const SAMPLES_PER_COEFFICIENT: usize = 10;
 
 /// Options of the models of one plane.
-const NOT_WITH_PLANES: [&str; 20] = [
+const NOT_WITH_PLANES: [&str; 21] = [
     "plant",
     "coil",
     "input",
@@ -36,6 +36,7 @@ const NOT_WITH_PLANES: [&str; 20] = [
     "decimate",
     "resample",
     "bridge",
+    "zero",
     "na",
     "nb",
     "select",
@@ -103,6 +104,9 @@ pub(crate) struct Args {
     /// Angles in a row that Eq. 6 may interpolate
     #[arg(long, value_name = "N", default_value_t = 6, value_parser = count(0, 100_000), hide = true)]
     pub(super) bridge: usize,
+    /// Zero of θ: fitted, exact
+    #[arg(long, value_name = "HOW", value_enum, default_value_t = ZeroArg::Fitted, conflicts_with = "output")]
+    pub(super) zero: ZeroArg,
     /// Order, or orders to search, na = nb [default: 1:20 or less]
     #[arg(long, value_name = "N|A:B")]
     pub(super) order: Option<Span>,
@@ -276,6 +280,13 @@ pub(super) enum StartArg {
     Estimated,
 }
 
+/// What is known of the output's zero.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum ZeroArg {
+    Fitted,
+    Exact,
+}
+
 /// A whole number from `least` to `most`.
 fn count(least: u64, most: u64) -> RangedU64ValueParser<usize> {
     RangedU64ValueParser::new().range(least..=most)
@@ -290,6 +301,11 @@ impl Args {
     /// With Eq. 6: the input contains the angle of the same time, so the delay is at least one sample.
     fn fed_back(&self) -> bool {
         self.plant.is_some()
+    }
+
+    /// Whether the zero of the output is fitted: that of θ is known to the base frame's σ only.
+    pub(super) fn fits_zero(&self) -> bool {
+        self.output.is_none() && self.zero == ZeroArg::Fitted
     }
 
     /// The output folder, which must be empty or have earlier results of the same records.

@@ -75,7 +75,7 @@ fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
     let mut names: Option<Vec<String>> = None;
     let mut motions: Vec<Motion> = Vec::new();
     for (file, table) in records::files(args)? {
-        let Driven { recording, source, coils, currents } = Driven::read(file, table)?;
+        let Driven { recording, source, coils, currents, .. } = Driven::read(file, table)?;
         if let Some(first) = names.as_ref().filter(|first| **first != coils) {
             let (first, these) = (first.join(", "), coils.join(", "));
             return Err(Failure::usage(format!("{source}: has the coils {these}, the first record has {first}")));

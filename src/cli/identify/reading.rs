@@ -6,7 +6,7 @@ use super::records::{self, Driven};
 use crate::cli::Failure;
 use crate::identify::data::Data;
 use crate::identify::data::Record;
-use crate::identify::delay::{self, Delay};
+use crate::identify::delay::{self, Delay, Drift, Timing};
 use crate::identify::fit::InitialState;
 use crate::identify::grid::{Grid, Series, cut, resample};
 use crate::identify::hold::{Held, LongHold};
@@ -14,11 +14,14 @@ use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
 use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::recorded::Observed;
+use crate::identify::zero::Zero;
 use crate::series::columns;
 use std::path::Path;
 
 /// Fewest samples after decimation.
 const DECIMATION_NEEDS: usize = 11;
+/// Current beyond which a unit is more likely to be wrong than the current right.
+const MOST_AMPERES: f64 = 50.0;
 /// The input of a log without Eq. 6.
 const CURRENT: &str = "current";
 
@@ -177,7 +180,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
         }
     };
     let missed = output.iter().filter(|y| y.is_none()).count();
-    let series = Series { name: name.clone(), time_s, drive, output, plant: None };
+    let series = Series { name: name.clone(), time_s, drive, output, ..Series::default() };
     let (record, grid, bridged) = on_grid(args, &series)?;
     // A stated period is exact and need not be estimated.
     let period_s = args.period.unwrap_or(grid.period_s);
@@ -210,8 +213,8 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
              or the columns of a table with --input, --output and --period"
         )));
     }
-    let Driven { recording, source, currents, .. } = Driven::read(file, table)?;
-    let observed = Observed::of(&recording).map_err(Failure::usage)?;
+    let Driven { recording, source, own_clock, currents, .. } = Driven::read(file, table)?;
+    let mut observed = Observed::of(&recording).map_err(Failure::usage)?;
     let held = observed.commands(&source, &currents, args.coil).map_err(Failure::usage)?;
     if let Some(LongHold { from_s, to_s, value, usual_s }) = observed.time_s.last().and_then(|t| held.longest_hold(*t))
     {
@@ -220,7 +223,11 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
              usually come every {usual_s:.3} s: is the table complete?"
         );
     }
-    let apparent = apparent_delay(args, &observed, &held, plant);
+    if let Some(largest) = held.largest().filter(|a| plant.is_some() && *a > MOST_AMPERES) {
+        tracing::warn!("{source}: holds currents of up to {largest:.0} A: Eq. 6 needs amperes; are these mA?");
+    }
+    let middle_s = observed.time_s.last().map_or(0.0, |end| 0.5 * end);
+    let apparent = apparent_delay(args, &observed, &held, plant, own_clock.then_some(middle_s));
     let delay_s = match (args.delay, &apparent) {
         (DelayArg::Given(seconds), _) => seconds,
         (DelayArg::Auto, Some(delay)) => delay.delay_s,
@@ -230,7 +237,30 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
             )));
         }
     };
+    if let Some(delay) = apparent.as_ref().filter(|delay| delay.is_before(delay_s)) {
+        tracing::warn!(
+            "{name}: θ moves {:.1} ± {:.1} ms before the commands: their times are wrong, which spoils H(s); \
+             --delay auto corrects them",
+            (delay_s - delay.delay_s) * 1e3,
+            delay.sd_s * 1e3
+        );
+    }
+    let held = match apparent.as_ref().and_then(|delay| delay.drift).filter(Drift::is_significant) {
+        Some(drift) => without_drift(args, &source, held, drift, middle_s),
+        None => held,
+    };
+    let zero = apparent.as_ref().and_then(|delay| delay.zero).filter(|_| args.detrend() == Detrend::None);
+    if let Some(zero) = zero.filter(Zero::is_off) {
+        tracing::warn!(
+            "{name}: the zero of θ is off by {:.3} ± {:.3}°, by a model of second order: a wrong base frame, or a \
+             catheter that does not hang straight? It is taken off; --zero exact leaves θ as it is",
+            zero.offset.to_degrees(),
+            zero.sd.to_degrees()
+        );
+        observed.theta_rad.iter_mut().flatten().for_each(|theta| *theta -= zero.offset);
+    }
     let series = observed.series(&held, plant, delay_s).map_err(Failure::usage)?;
+    let series = Series { fit_zero: args.fits_zero(), ..series };
     let lost = series.output.len() - observed.theta_rad.len();
     let missed = observed.theta_rad.iter().filter(|theta| theta.is_none()).count();
     let (record, grid, bridged) = on_grid(args, &series)?;
@@ -243,22 +273,42 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         vetoed: recording.vetoed,
         bridged,
         delay: apparent,
+        zero,
         ..RecordSummary::default()
     };
     Ok(Read { record, summary })
 }
 
-/// The apparent delay of the output, searched around the given one.
-fn apparent_delay(args: &Args, observed: &Observed, held: &Held, plant: Option<Plant>) -> Option<Delay> {
+/// Tells that the clock of the currents drifts; with `--delay auto` the commands are moved to the camera's clock.
+fn without_drift(args: &Args, source: &str, held: Held, drift: Drift, middle_s: f64) -> Held {
+    let (ppm, sd) = (-1e6 * drift.rate, 1e6 * drift.sd);
+    let fitted = args.delay == DelayArg::Auto;
+    let remedy = if fitted { "they are moved by it" } else { "--delay auto moves them by it" };
+    tracing::warn!(
+        "{source}: by a model of second order the clock of the currents runs {ppm:.1} ± {sd:.1} ppm fast against the \
+         camera's, which spoils H(s); {remedy}. Better are currents with the camera's times"
+    );
+    if fitted { held.drifted(drift.rate, middle_s) } else { held }
+}
+
+/// The apparent delay of the output, searched around the given one. `own_clock`: see [`delay::estimate`].
+fn apparent_delay(
+    args: &Args,
+    observed: &Observed,
+    held: &Held,
+    plant: Option<Plant>,
+    own_clock: Option<f64>,
+) -> Option<Delay> {
     let period_s = observed.grid().ok()?.period_s;
     let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
     // All delays are judged by the same samples: those whose commands are known for every delay.
-    let held = held.zero_before();
-    let known_s = held.span_s()?.0 + given_s + (delay::MAX_DELAY + 2.0) * period_s;
+    let known_s = held.zero_before().span_s()?.0 + given_s + (delay::MAX_DELAY + 2.0) * period_s;
     let cut_off = known_s > *observed.time_s.first()?;
     let observed = if cut_off { observed.from(known_s) } else { observed.clone() };
-    let found = delay::estimate(period_s, |delay_s| {
+    let found = delay::estimate(period_s, own_clock, |Timing { delay_s, drift }| {
+        let held = held.drifted(drift, own_clock.unwrap_or_default()).zero_before();
         let series = observed.series(&held, plant, given_s + delay_s).ok()?;
+        let series = Series { fit_zero: args.fits_zero(), ..series };
         let grid = Grid::of(&series.name, &series.time_s).ok()?;
         let (record, _) = cut(&series, &grid, args.bridge);
         let mut segments = record.segments;
@@ -331,6 +381,7 @@ fn provenance(args: &Args, records: Vec<RecordSummary>) -> Provenance {
         set("repeats", repeats.words());
     }
     set("estimator", format!("{:?}", args.estimator).to_lowercase());
+    set("zero", if args.fits_zero() { "fitted" } else { "exact" }.to_owned());
     set("start", format!("{:?}", args.start).to_lowercase());
     set("reduction", if args.match_dc { "match DC" } else { "truncation" }.to_owned());
     set("reduced for", if args.all_frequencies { "all frequencies" } else { "the excited band" }.to_owned());

@@ -3,7 +3,7 @@
 use super::args::Args;
 use crate::cli::Failure;
 use crate::plural::plural;
-use crate::series::{Current, CurrentTable, Recording};
+use crate::series::{Current, CurrentClock, CurrentTable, Recording};
 use std::path::Path;
 
 /// Largest relative difference of the records' periods.
@@ -25,6 +25,8 @@ pub(super) struct Driven {
     pub(super) recording: Recording,
     /// File of the currents.
     pub(super) source: String,
+    /// Whether their times are those of a clock that nothing relates to the camera's but an assumed start.
+    pub(super) own_clock: bool,
     /// Names of the coils.
     pub(super) coils: Vec<String>,
     pub(super) currents: Vec<Current>,
@@ -45,7 +47,7 @@ impl Driven {
             let currents = std::mem::take(&mut recording.currents);
             let count = currents.first().map_or(0, |current| current.values_a.len());
             let coils = (0..count).map(|coil| format!("coil_{coil}")).collect();
-            return Ok(Self { recording, source: name, coils, currents });
+            return Ok(Self { recording, source: name, own_clock: false, coils, currents });
         };
         let source = path.display().to_string();
         let table = CurrentTable::read(path)?;
@@ -53,7 +55,8 @@ impl Driven {
             tracing::info!("{source}: {assumed}");
         }
         let currents = table.on_camera_clock(&recording, None)?;
-        Ok(Self { recording, source, coils: table.coils, currents })
+        let own_clock = table.clock == CurrentClock::Start;
+        Ok(Self { recording, source, own_clock, coils: table.coils, currents })
     }
 }
 

@@ -331,12 +331,9 @@ fn excited(records: &[Motion]) -> (f64, f64) {
     let coils = records.first().map_or(0, |record| record.input.ncols());
     let bands = (0..coils).filter_map(|coil| {
         let segment = |record: &Motion| Segment {
-            first: 0,
-            start_s: 0.0,
-            instrument: None,
             input: record.input.column(coil).iter().copied().collect(),
             output: record.output.column(0).iter().copied().collect(),
-            from_rest: false,
+            ..Segment::default()
         };
         // A sample as the unit of time.
         spectrum(&records.iter().map(segment).collect::<Vec<_>>(), 1.0).map(|found| found.excited_hz)

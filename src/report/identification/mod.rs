@@ -16,6 +16,7 @@ use crate::identify::identification::{Fit, Identification};
 use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
 use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::search::Candidate;
+use crate::identify::zero::Zero;
 use crate::plural::plural;
 use figures::Shown;
 use std::collections::BTreeMap;
@@ -400,6 +401,10 @@ fn residuals(done: &Identification) -> String {
 
 /// The records as read.
 fn records_table(provenance: &Provenance) -> String {
+    let zero = |r: &RecordSummary| {
+        let shown = |z: Zero| format!("{:.3} ± {:.3}", z.offset.to_degrees(), z.sd.to_degrees());
+        r.zero.map_or_else(String::new, shown)
+    };
     let row = |r: &RecordSummary| {
         vec![
             r.name.clone(),
@@ -412,6 +417,7 @@ fn records_table(provenance: &Provenance) -> String {
             format!("{:.3}", r.period_s * 1e3),
             format!("{:.3}", r.jitter_s * 1e3),
             r.delay.as_ref().map_or_else(String::new, |d| format!("{:.1} ± {:.1}", d.delay_s * 1e3, d.sd_s * 1e3)),
+            zero(r),
         ]
     };
     let rows: Vec<Vec<String>> = provenance.records.iter().map(row).collect();
@@ -426,11 +432,13 @@ fn records_table(provenance: &Provenance) -> String {
         "Period (ms)",
         "Jitter (ms)",
         "Late (ms)",
+        "Zero off (°)",
     ];
     format!(
         "<p>Lost: places on the camera's grid without a frame. Missed: frames without an angle. Late: how much the \
          output is later than the commands say, clocks, amplifier and system together; taken out only when asked \
-         for.</p>\n{}",
+         for. Zero off: how much too high θ is, by a model of second order; taken out where it is off by more than \
+         chance explains.</p>\n{}",
         table(2, &heads, &rows)
     )
 }
