@@ -152,7 +152,9 @@ pub(crate) fn estimate(
     if sd_s > MAX_DELAY * period_s {
         return None;
     }
-    let drift = of_drift.map(|sd| Drift { rate: best.timing.drift, sd });
+    // The systematic error may change over the record.
+    let of_method = METHOD_ERROR / samples as f64 * 12_f64.sqrt();
+    let drift = of_drift.map(|sd| Drift { rate: best.timing.drift, sd: sd.hypot(of_method) });
     Some(Delay { delay_s: best.timing.delay_s, sd_s, drift, zero, residual_rms: (cost / samples as f64).sqrt() })
 }
 
@@ -320,8 +322,9 @@ mod tests {
             // Here the model is exact: the method adds nothing.
             let of_noise = (found.sd_s.powi(2) - (METHOD_ERROR * PERIOD_S).powi(2)).sqrt();
             let (drift, zero) = (found.drift.unwrap(), found.zero.unwrap());
+            let drift_sd = (drift.sd.powi(2) - 12.0 * (METHOD_ERROR / SAMPLES as f64).powi(2)).sqrt();
             let errors =
-                [(found.delay_s - 0.02) / of_noise, (drift.rate - 2e-4) / drift.sd, (zero.offset - 0.01) / zero.sd];
+                [(found.delay_s - 0.02) / of_noise, (drift.rate - 2e-4) / drift_sd, (zero.offset - 0.01) / zero.sd];
             squares.iter_mut().zip(errors).for_each(|(sum, error)| *sum += error.powi(2) / 20.0);
             assert!(drift.is_significant() && zero.is_off(), "{found:?}");
         }

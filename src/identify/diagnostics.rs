@@ -198,6 +198,11 @@ fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
 /// Whether the refined model simulates the fitted records much better from another state than from rest.
 fn not_at_rest(data: &Data, done: &Identification) -> Option<Diagnostic> {
     let name = &data.training.iter().find(|record| record.is_from_rest())?.name;
+    // The first is the one asked for.
+    let asked = done.fits.iter().find(|f| f.training && f.role == Role::Refined)?;
+    if asked.kind != Kind::Simulation(InitialState::Rest) {
+        return None;
+    }
     let error = |state: InitialState| {
         let of =
             |f: &&Fit| f.training && f.role == Role::Refined && f.record == *name && f.kind == Kind::Simulation(state);

@@ -239,8 +239,8 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     };
     if let Some(delay) = apparent.as_ref().filter(|delay| delay.is_before(delay_s)) {
         tracing::warn!(
-            "{name}: θ moves {:.1} ± {:.1} ms before the commands: their times are wrong, which spoils H(s); \
-             --delay auto corrects them",
+            "{name}: θ seems to move {:.1} ± {:.1} ms before the commands: with wrong times H(s) is wrong; --delay auto \
+             corrects them",
             (delay_s - delay.delay_s) * 1e3,
             delay.sd_s * 1e3
         );
@@ -285,8 +285,8 @@ fn without_drift(args: &Args, source: &str, held: Held, drift: Drift, middle_s: 
     let fitted = args.delay == DelayArg::Auto;
     let remedy = if fitted { "they are moved by it" } else { "--delay auto moves them by it" };
     tracing::warn!(
-        "{source}: by a model of second order the clock of the currents runs {ppm:.1} ± {sd:.1} ppm fast against the \
-         camera's, which spoils H(s); {remedy}. Better are currents with the camera's times"
+        "{source}: by a model of second order the clock of the currents seems to run {ppm:.1} ± {sd:.1} ppm fast \
+         against the camera's, which spoils H(s); {remedy}. Better are currents with the camera's times"
     );
     if fitted { held.drifted(drift.rate, middle_s) } else { held }
 }
@@ -312,9 +312,8 @@ fn apparent_delay(
         let grid = Grid::of(&series.name, &series.time_s).ok()?;
         let (record, _) = cut(&series, &grid, args.bridge);
         let mut segments = record.segments;
-        if cut_off {
-            segments.iter_mut().for_each(|s| s.from_rest = false);
-        }
+        // What is taken for rest and is none would look like a delay.
+        segments.iter_mut().for_each(|s| s.from_rest = false);
         if args.detrend() != Detrend::None {
             let trend = Trend::of(&segments, period_s, false);
             segments.iter_mut().for_each(|s| trend.remove(s, period_s));
