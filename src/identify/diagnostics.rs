@@ -216,7 +216,8 @@ fn not_at_rest(data: &Data, done: &Identification) -> Option<Diagnostic> {
 /// excitation begins.
 fn against_torque(data: &Data, done: &Identification) -> Option<Diagnostic> {
     let of_torque = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
-    let model = done.model(Role::Refined).filter(|_| of_torque)?;
+    let explains = |f: &&Fit| f.training && f.role == Role::Refined && f.error.error_percent < POOR_FIT_PERCENT;
+    let model = done.model(Role::Refined).filter(|_| of_torque && done.fits.iter().any(|f| explains(&f)))?;
     let frequency_hz = done.spectrum.as_ref()?.excited_hz.0;
     let phase_deg = model.model.response(angle(frequency_hz, data.period_s)).arg().to_degrees();
     let title = model.title.clone();
