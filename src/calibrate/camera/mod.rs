@@ -10,7 +10,8 @@
 //!
 //! Remaining doubts about the lens are among its [`diagnostics`].
 //!
-//! Cannot detect: squares of another size than stated (the lens does not depend on it, distances do), or not square.
+//! Cannot detect: squares of another size than stated (the lens does not depend on it, distances do). Squares that are
+//! not square look like pixels that are not.
 
 pub mod diagnostics;
 pub mod models;

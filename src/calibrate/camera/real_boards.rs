@@ -172,7 +172,9 @@ fn eight_coefficients_are_found_where_opencv_s_own_fold_within_the_boards() {
 #[test]
 fn a_bent_board_and_a_wide_angle_are_told() {
     let of_chess = diagnosed("10x7:160mm", &pictures("chess_10x7.csv", [1920, 1080]));
-    let [CameraDiagnostic::Bent { sag_mm, .. }] = of_chess.as_slice() else { panic!("{of_chess:?}") };
+    let [CameraDiagnostic::Aspect { .. }, CameraDiagnostic::Bent { sag_mm, .. }] = of_chess.as_slice() else {
+        panic!("{of_chess:?}")
+    };
     assert!((2.0..6.0).contains(sag_mm), "{sag_mm}");
     let of_charuco = diagnosed("charuco:18x9:20mm:15mm:DICT_4X4_250", &pictures("charuco_18x9.csv", [1280, 720]));
     assert!(matches!(of_charuco.first(), Some(CameraDiagnostic::Model { .. })), "{of_charuco:?}");
@@ -190,4 +192,21 @@ fn boards_in_the_middle_only_are_told() {
         picture.image.corners.iter_mut().for_each(|(_, pixel)| *pixel += nalgebra::Vector2::new(480.0, 360.0));
     }
     assert!(reaches(&diagnosed("9x6:25mm", &pictures)));
+}
+
+/// Pictures stretched by a per cent, as a print would be if all boards were the same way up.
+#[test]
+fn pixels_that_are_not_square_are_told() {
+    let mut pictures = pictures("chess_9x6.csv", [640, 480]);
+    let aspect = |diagnosed: Vec<CameraDiagnostic>| {
+        diagnosed
+            .into_iter()
+            .find_map(|d| if let CameraDiagnostic::Aspect { ratio, .. } = d { Some(ratio) } else { None })
+    };
+    assert_eq!(aspect(diagnosed("9x6:25mm", &pictures)), None);
+    for (_, pixel) in pictures.iter_mut().flat_map(|picture| &mut picture.image.corners) {
+        pixel.x *= 1.01;
+    }
+    let ratio = aspect(diagnosed("9x6:25mm", &pictures)).unwrap();
+    assert!((ratio - 1.01).abs() < 3e-3, "{ratio}");
 }
