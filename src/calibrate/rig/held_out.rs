@@ -2,7 +2,8 @@
 //!
 //! In: a solution and its corners. Out: for each picture, [`HeldOut`].
 //!
-//! Each picture is held out in turn and the rest solved again, starting from the full solution. Every corner that two
+//! Each picture is held out in turn, with those in which the board lies alike, and the rest solved again, starting from
+//! the full solution. Every corner that two
 //! views of the picture show is then triangulated as in the tracker; distances between corners are known from the
 //! board, and the rays of the views should meet. The noise of the corners alone explains [`Length::noise_sd_m`]; the
 //! excess is the rig's.
@@ -100,7 +101,9 @@ pub fn held_out(solution: &Solution, corners: &[Corner]) -> Vec<Result<HeldOut, 
     (0..solution.poses.len())
         .into_par_iter()
         .map(|picture| {
-            let rest: Vec<usize> = (0..solution.poses.len()).filter(|other| *other != picture).collect();
+            let cluster = solution.clusters.get(picture);
+            let rest: Vec<usize> =
+                (0..solution.poses.len()).filter(|other| solution.clusters.get(*other) != cluster).collect();
             let others = solution.of_pictures(&rest, corners).solve()?;
             Ok(measure(picture, &others, corners, solution.corner_sd_px))
         })
