@@ -95,9 +95,10 @@ pub enum CameraDiagnostic {
     },
     /// Pixels that are not square, or a print that is stretched.
     #[error(
-        "fx/fy is {ratio:.4} ± {sd:.4}, {:.0} σ from 1, but most cameras have square pixels: is the print stretched, by \
-         {:.2} % along one side? Measure the grid along both sides of the board; if its squares are not square, print \
-         it again, without scaling. If they are, the camera or what records it stretches pictures, and the lens is right",
+        "fx/fy is {ratio:.4} ± {sd:.4}, {:.0} σ from 1, but most cameras have square pixels: is the print stretched, \
+         by {:.2} % along one side? Measure the grid along both sides of the board; if its squares are not square, \
+         print it again, without scaling. If they are, the camera or what records it stretches pictures, and the lens \
+         is right",
         (.ratio - 1.0).abs() / .sd, 100.0 * (.ratio - 1.0).abs()
     )]
     Aspect {

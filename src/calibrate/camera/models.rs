@@ -2,9 +2,9 @@
 //!
 //! In: boards in pictures. Out: for each [`Model`], the residuals of the corners of held-out pictures.
 //!
-//! The pictures are split into `FOLDS`, those in which the board lies alike together; each is held out in turn, OpenCV calibrates the lens from the rest, and only
-//! the poses of the held-out boards are fitted to their corners. Models with too few or too many parameters leave
-//! larger residuals.
+//! The pictures are split into `FOLDS`, those in which the board lies alike together; each is held out in turn, OpenCV
+//! calibrates the lens from the rest, and only the poses of the held-out boards are fitted to their corners. Models
+//! with too few or too many parameters leave larger residuals.
 
 use crate::calibrate::board::BoardPicture;
 use nalgebra::Point3;
