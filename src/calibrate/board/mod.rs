@@ -26,6 +26,9 @@ use nalgebra::{Point2, Point3, Vector3};
 /// Inner corners along one side, fewest and most. OpenCV's detector needs three.
 const CORNERS: std::ops::RangeInclusive<usize> = 3..=99;
 
+/// Sides of squares and markers, metres: print and camera allow no others.
+const SIDE_M: std::ops::RangeInclusive<f64> = 1e-6..=10.0;
+
 /// Two pictures whose corners differ by less than this part of a square's side, RMS, tell the same: errors of lens and
 /// print are the same in both.
 const SAME_PLACE: f64 = 0.1;
@@ -97,13 +100,13 @@ impl Board {
     /// When it is not a board that can be found with a unique orientation.
     fn check(&self) -> Result<(), BoardError> {
         let (columns, rows, square_m) = (self.columns, self.rows, self.square_m);
-        if !(square_m > 0.0 && square_m.is_finite()) {
+        if !SIDE_M.contains(&square_m) {
             return Err(BoardError::SquareSize { square_m });
         }
         match self.kind {
             Pattern::Charuco(own @ Charuco { marker_m, dictionary, .. }) => {
-                let few = columns.min(rows) < 2 || columns * rows < charuco::MIN_CORNERS;
-                if few || columns.max(rows) > *CORNERS.end() {
+                let many = columns.max(rows) > *CORNERS.end();
+                if many || columns.min(rows) < 2 || columns * rows < charuco::MIN_CORNERS {
                     return Err(BoardError::Squares { columns: columns + 1, rows: rows + 1 });
                 }
                 if !(marker_m > 0.0 && marker_m < square_m) {
@@ -262,7 +265,7 @@ pub enum BoardError {
         columns: usize,
     },
     /// A square without a valid size.
-    #[error("squares of {square_m} m: expected a length above 0")]
+    #[error("squares of {square_m:e} m: expected 0.001 mm to 10 m")]
     SquareSize {
         /// Side of a square.
         square_m: f64,

@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::calibrate::any_length_m;
-use crate::calibrate::board::{Board, BoardError, Charuco, Pattern};
+use crate::calibrate::board::{Board, BoardError, Charuco, Pattern, SIDE_M};
 
 /// The expected form, for a text that is not a board.
 pub(super) fn form(text: &str) -> &'static str {
@@ -37,17 +37,20 @@ impl FromStr for Board {
     }
 }
 
-/// A length above 0; `missing` is what is wrong when it is none.
-fn length_m(text: &str, missing: &'static str) -> Result<f64, &'static str> {
-    let length_m = any_length_m(text).ok_or(missing)?;
-    if length_m > 0.0 { Ok(length_m) } else { Err("lengths must be above 0") }
+/// A side of a square or a marker; `missing` is what is wrong when it is no length.
+fn side_m(text: &str, missing: &'static str) -> Result<f64, &'static str> {
+    match any_length_m(text).ok_or(missing)? {
+        side_m if SIDE_M.contains(&side_m) => Ok(side_m),
+        side_m if side_m > 0.0 => Err("lengths must be from 0.001 mm to 10 m"),
+        _ => Err("lengths must be above 0"),
+    }
 }
 
 fn chessboard(text: &str) -> Result<Board, &'static str> {
     let (corners, square) = text.split_once(':').ok_or("the size of a square is missing")?;
     let (columns, rows) =
         two_numbers(corners).ok_or("before the colon there must be two whole numbers with an x between them")?;
-    let square_m = length_m(square, "after the colon there must be a length with its unit: mm, cm or m")?;
+    let square_m = side_m(square, "after the colon there must be a length with its unit: mm, cm or m")?;
     Ok(Board { columns, rows, square_m, kind: Pattern::Chessboard })
 }
 
@@ -64,7 +67,7 @@ fn charuco(text: &str) -> Result<Board, &'static str> {
     let (Some(columns), Some(rows)) = (columns.checked_sub(1), rows.checked_sub(1)) else {
         return Err("it must have squares");
     };
-    let length = |text: &str| length_m(text, "sizes of square and marker must be lengths with unit: mm, cm or m");
+    let length = |text: &str| side_m(text, "sizes of square and marker must be lengths with unit: mm, cm or m");
     let (square_m, marker_m) = (length(square)?, length(marker)?);
     let unknown = "its dictionary is not known; OpenCV's DICT_4X4_50, DICT_5X5_100, DICT_6X6_250, DICT_7X7_1000 and so \
                    on are, DICT_ARUCO_ORIGINAL and DICT_ARUCO_MIP_36h12";
@@ -101,6 +104,15 @@ mod tests {
         for text in ["9x6:0mm", "9x6:-1cm", "charuco:9x6:12mm:0mm:DICT_4X4_50"] {
             assert!(refused(text).contains(": lengths must be above 0."), "{}", refused(text));
         }
+        for text in ["9x6:1e300mm", "9x6:11m", "9x6:1e-5mm", "9x6:1e-320mm", "charuco:9x6:12mm:1e-9mm:DICT_4X4_50"] {
+            assert!(refused(text).contains(": lengths must be from 0.001 mm to 10 m."), "{}", refused(text));
+        }
+        // As many corners as no number holds.
+        let huge = refused("charuco:9999999999x9999999999:12mm:9mm:DICT_4X4_50");
+        assert!(huge.starts_with("a ChArUco board of 9999999999x9999999999 squares cannot"), "{huge}");
+        assert!(refused("9x6:nanmm").contains("a length with its unit"), "{}", refused("9x6:nanmm"));
+        let built = Board { square_m: 1e300, .."9x6:12mm".parse().unwrap() };
+        assert_eq!(built.check().unwrap_err().to_string(), "squares of 1e300 m: expected 0.001 mm to 10 m");
         assert!(refused("9x6:12").contains("a length with its unit"), "{}", refused("9x6:12"));
         let large = refused("charuco:9x6:12mm:13mm:DICT_4X4_50");
         assert!(large.starts_with("markers of 13 mm in squares of 12 mm: "), "{large}");

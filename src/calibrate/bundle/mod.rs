@@ -7,10 +7,10 @@
 //! geometry is shared by all pictures, and so is the board's bend (`shape.rs`), the six parameters of its pose belong
 //! to one picture each. σ, the noise of a corner, is estimated from the corners themselves and the whole repeated.
 //!
-//! The covariance of the geometry has all poses free. It assumes that errors of different pictures are independent, but
-//! not those of the corners within one (`clusters.rs`): a board that is not quite flat, blur and an imperfect lens
-//! model correlate them. Where such errors make the pictures less informative than the noise of their corners suggests,
-//! the priors get correspondingly more weight, and the whole is repeated.
+//! The covariance of the geometry has all poses free. It assumes that errors of pictures are independent, but not those
+//! of the corners within one, nor of pictures in which the board lies alike (`clusters.rs`): a board that is not quite
+//! flat, blur and an imperfect lens model correlate them. Where such errors make the pictures less informative than the
+//! noise of their corners suggests, the priors get correspondingly more weight, and the whole is repeated.
 
 pub(crate) mod clusters;
 pub(crate) mod outliers;
@@ -18,7 +18,7 @@ pub(crate) mod pose;
 pub(crate) mod prior;
 pub(crate) mod shape;
 
-use crate::calibrate::bundle::clusters::{Clustered, Part};
+use crate::calibrate::bundle::clusters::{Clustered, Part, alike};
 use crate::calibrate::bundle::prior::{Equation, Prior};
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{End, Equations, Loss, Row, SearchError, Step, minimise};
@@ -89,7 +89,9 @@ pub struct Solution {
     pub noise_covariance: DMatrix<f64>,
     /// The covariance according to the search, with pictures and priors weighted as they were.
     pub(crate) weighted_covariance: DMatrix<f64>,
-    /// For each picture, what it says of the unknowns, see [`Clustered::parts`].
+    /// For each picture, its cluster: those in which the board lies alike, see [`clusters::alike`].
+    pub(crate) clusters: Vec<usize>,
+    /// For each cluster, what it says of the unknowns, see [`Clustered::parts`].
     pub(crate) parts: Vec<Part>,
     /// Ratio of the variance to that of independent corners, over all directions of the parameters; 1 or more.
     pub design_effect: f64,
@@ -164,6 +166,7 @@ impl Bundle {
             weighted_covariance: of_free(&known.weighted),
             shape: at.shape,
             shape_covariance: known.covariance.fixed_view::<3, 3>(free, free).into_owned(),
+            clusters: self.clusters(&at),
             parts: known.parts,
             design_effect: known.design_effect,
             residuals_px: self.residuals_px(&at)?,
@@ -212,7 +215,12 @@ impl Bundle {
     }
 
     fn clustered(&self, at: &State, sd_px: f64, prior_weight: f64) -> Result<Clustered, NoSolution> {
-        Clustered::of(&self.equations(at, sd_px, prior_weight)?, prior_weight).ok_or(NoSolution::Singular)
+        let equations = self.equations(at, sd_px, prior_weight)?;
+        Clustered::of(&equations, &self.clusters(at), prior_weight).ok_or(NoSolution::Singular)
+    }
+
+    fn clusters(&self, at: &State) -> Vec<usize> {
+        alike(&at.poses, self.corners.iter().map(|corner| corner.place))
     }
 
     fn stepped(&self, at: &State, step: &Step) -> State {

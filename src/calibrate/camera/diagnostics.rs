@@ -5,7 +5,7 @@
 use super::CameraCalibration;
 use super::models::Model;
 use crate::optics::Lens;
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 
 /// What to do about a lens that needs another model.
 fn advice(model: Model) -> &'static str {
@@ -20,6 +20,8 @@ fn advice(model: Model) -> &'static str {
 const MIN_REACH: f64 = 0.6;
 /// A bend is reported if it is this many σ from zero and at least this fraction of the board's half width.
 const BEND_REPORTED: (f64, f64) = (4.0, 1e-3);
+/// Pixels that are not square are reported if fx/fy is this many σ from 1 and differs from it by at least this.
+const ASPECT_REPORTED: (f64, f64) = (4.0, 1e-3);
 
 /// A reason not to accept the lens as it is.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -91,6 +93,20 @@ pub enum CameraDiagnostic {
         /// Its significance, in σ.
         sigmas: f64,
     },
+    /// Pixels that are not square, or a print that is stretched.
+    #[error(
+        "fx/fy is {ratio:.4} ± {sd:.4}, {:.0} σ from 1, but most cameras have square pixels: is the print stretched, \
+         by {:.2} % along one side? Measure the grid along both sides of the board; if its squares are not square, \
+         print it again, without scaling. If they are, the camera or what records it stretches pictures, and the lens \
+         is right",
+        (.ratio - 1.0).abs() / .sd, 100.0 * (.ratio - 1.0).abs()
+    )]
+    Aspect {
+        /// fx/fy.
+        ratio: f64,
+        /// Its σ.
+        sd: f64,
+    },
 }
 
 /// Those that follow from the result itself; `places`: the board's corners, with the centre at the origin.
@@ -111,6 +127,11 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     if let Some(corner) = corners.iter().find(|corner| done.lens.undistort(corner).is_none()) {
         all.push(CameraDiagnostic::Folds { x: corner.x, y: corner.y });
     }
+    let (ratio, sd) = aspect(done);
+    let off = (ratio - 1.0).abs();
+    if off > ASPECT_REPORTED.0 * sd && off > ASPECT_REPORTED.1 {
+        all.push(CameraDiagnostic::Aspect { ratio, sd });
+    }
     let bend = nalgebra::Vector3::from(done.shape.bend_m);
     let sigmas = done.shape_covariance.cholesky().map_or(0.0, |known| bend.dot(&known.solve(&bend)).sqrt());
     let (sag_m, half_m) = (done.shape.sag_m(places), done.shape.half_m);
@@ -118,4 +139,12 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
         all.push(CameraDiagnostic::Bent { sag_mm: sag_m * 1e3, percent: 50.0 * sag_m / half_m, sigmas });
     }
     all
+}
+
+/// fx/fy and its σ: a stretched print changes it like pixels that are not square, if boards are all the same way up.
+fn aspect(done: &CameraCalibration) -> (f64, f64) {
+    let (focal, known) = (done.lens.focal_px, &done.covariance);
+    let ratio = focal.x / focal.y;
+    let by = Vector2::new(1.0 / focal.y, -ratio / focal.y);
+    (ratio, by.dot(&(known.fixed_view::<2, 2>(0, 0) * by)).max(0.0).sqrt())
 }

@@ -10,7 +10,8 @@
 //!
 //! Remaining doubts about the lens are among its [`diagnostics`].
 //!
-//! Cannot detect: squares of another size than stated (the lens does not depend on it, distances do), or not square.
+//! Cannot detect: squares of another size than stated (the lens does not depend on it, distances do). Squares that are
+//! not square look like pixels that are not.
 
 pub mod diagnostics;
 pub mod models;
@@ -120,6 +121,17 @@ pub enum CameraError {
         /// Those left out, and why.
         left_out: Vec<(String, LeftOut)>,
     },
+    /// Too few places of the board.
+    #[error(
+        "in {used} pictures the board lies in only {found} clearly different places: at least {FEWEST_PICTURES} are \
+         needed, 10 to 20 are good; move and tilt it by more than a square from one picture to the next"
+    )]
+    Alike {
+        /// Pictures.
+        used: usize,
+        /// Different places and tilts.
+        found: usize,
+    },
     /// All boards are parallel.
     #[error(
         "all boards are within {spread_deg:.0}° of parallel: the focal length cannot be told from the distance; tilt \
@@ -174,6 +186,9 @@ pub fn calibrate_camera(
             return Err(CameraError::TooFew { found: used.len(), left_out });
         }
         let (solved, corners) = adjust(board, &used, first.size_px, model)?;
+        if solved.parts.len() < FEWEST_PICTURES {
+            return Err(CameraError::Alike { used: used.len(), found: solved.parts.len() });
+        }
         let of_pictures = by_picture(&solved, &used);
         let Some((worst, off)) = worst_picture(&of_pictures) else {
             let mut done = conclude(&solved, of_pictures, left_out, first.size_px)?;
@@ -221,7 +236,8 @@ fn diagnose(
         // With two lenses no model is right.
         None => {
             let own = if done.lens.is_rational() { Model::Rational } else { Model::Brown };
-            if let Some((model, own_px, other_px)) = models::better(&places, used, done.size_px, own) {
+            if let Some((model, own_px, other_px)) = models::better(&places, used, &solved.clusters, done.size_px, own)
+            {
                 all.push(CameraDiagnostic::Model { model, own, own_px, other_px });
             }
         }

@@ -2,9 +2,9 @@
 //!
 //! In: boards in pictures. Out: for each [`Model`], the residuals of the corners of held-out pictures.
 //!
-//! The pictures are split into `FOLDS`; each is held out in turn, OpenCV calibrates the lens from the rest, and only
-//! the poses of the held-out boards are fitted to their corners. Models with too few or too many parameters leave
-//! larger residuals.
+//! The pictures are split into `FOLDS`, those in which the board lies alike together; each is held out in turn, OpenCV
+//! calibrates the lens from the rest, and only the poses of the held-out boards are fitted to their corners. Models
+//! with too few or too many parameters leave larger residuals.
 
 use crate::calibrate::board::BoardPicture;
 use nalgebra::Point3;
@@ -41,16 +41,18 @@ impl std::fmt::Display for Model {
 }
 
 /// The model that fits held-out pictures clearly better than `own`: RMS of a coordinate with `own` and with it, pixels.
+/// `clusters`: for each picture, the number of its cluster.
 pub(crate) fn better(
     places: &[Point3<f64>],
     used: &[&BoardPicture],
+    clusters: &[usize],
     size_px: [u32; 2],
     own: Model,
 ) -> Option<(Model, f64, f64)> {
     let others = [Model::Brown, Model::Rational, Model::Fisheye].into_iter().filter(|model| *model != own);
     let models: Vec<Model> = std::iter::once(own).chain(others).collect();
     let found: Vec<Option<Vec<f64>>> =
-        models.par_iter().map(|model| held_out(places, used, size_px, *model).ok()).collect();
+        models.par_iter().map(|model| held_out(places, used, clusters, size_px, *model).ok()).collect();
     let [Some(by_own), others @ ..] = found.as_slice() else { return None };
     let rms = |each: &[f64]| (each.iter().map(|e| e * e).sum::<f64>() / each.len().max(1) as f64).sqrt();
     let clearly = |each: &&Vec<f64>| {
@@ -66,6 +68,7 @@ pub(crate) fn better(
 fn held_out(
     places: &[Point3<f64>],
     used: &[&BoardPicture],
+    clusters: &[usize],
     size_px: [u32; 2],
     model: Model,
 ) -> opencv::Result<Vec<f64>> {
@@ -80,12 +83,12 @@ fn held_out(
     let mut all = Vec::with_capacity(boards.len());
     for fold in 0..FOLDS {
         let (mut objects, mut images) = (Vector::<Vector<Point3f>>::new(), Vector::<Vector<Point2f>>::new());
-        for (_, (object, image)) in boards.iter().enumerate().filter(|(i, _)| i % FOLDS != fold) {
+        for (_, (object, image)) in clusters.iter().zip(&boards).filter(|(cluster, _)| *cluster % FOLDS != fold) {
             objects.push(object.clone());
             images.push(image.clone());
         }
         let lens = Found::of(model, &objects, &images, size_px)?;
-        for (_, (object, image)) in boards.iter().enumerate().filter(|(i, _)| i % FOLDS == fold) {
+        for (_, (object, image)) in clusters.iter().zip(&boards).filter(|(cluster, _)| *cluster % FOLDS == fold) {
             all.push(lens.left_px(object, image)?);
         }
     }

@@ -9,7 +9,7 @@ use crate::calibrate::camera::diagnostics::CameraDiagnostic;
 use crate::calibrate::camera::{CameraCalibration, LensModel, calibrate_camera};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::calibrate::tests::gaussian;
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use std::path::Path;
 
 /// A set from tests/data/real_boards.
@@ -172,7 +172,9 @@ fn eight_coefficients_are_found_where_opencv_s_own_fold_within_the_boards() {
 #[test]
 fn a_bent_board_and_a_wide_angle_are_told() {
     let of_chess = diagnosed("10x7:160mm", &pictures("chess_10x7.csv", [1920, 1080]));
-    let [CameraDiagnostic::Bent { sag_mm, .. }] = of_chess.as_slice() else { panic!("{of_chess:?}") };
+    let [CameraDiagnostic::Aspect { .. }, CameraDiagnostic::Bent { sag_mm, .. }] = of_chess.as_slice() else {
+        panic!("{of_chess:?}")
+    };
     assert!((2.0..6.0).contains(sag_mm), "{sag_mm}");
     let of_charuco = diagnosed("charuco:18x9:20mm:15mm:DICT_4X4_250", &pictures("charuco_18x9.csv", [1280, 720]));
     assert!(matches!(of_charuco.first(), Some(CameraDiagnostic::Model { .. })), "{of_charuco:?}");
@@ -187,7 +189,54 @@ fn boards_in_the_middle_only_are_told() {
     assert!(!reaches(&diagnosed("9x6:25mm", &pictures)));
     for picture in &mut pictures {
         picture.size_px = [1600, 1200];
-        picture.image.corners.iter_mut().for_each(|(_, pixel)| *pixel += nalgebra::Vector2::new(480.0, 360.0));
+        picture.image.corners.iter_mut().for_each(|(_, pixel)| *pixel += Vector2::new(480.0, 360.0));
     }
     assert!(reaches(&diagnosed("9x6:25mm", &pictures)));
+}
+
+/// Pictures stretched by a per cent, as a print would be if all boards were the same way up.
+#[test]
+fn pixels_that_are_not_square_are_told() {
+    let mut pictures = pictures("chess_9x6.csv", [640, 480]);
+    let aspect = |diagnosed: Vec<CameraDiagnostic>| {
+        diagnosed
+            .into_iter()
+            .find_map(|d| if let CameraDiagnostic::Aspect { ratio, .. } = d { Some(ratio) } else { None })
+    };
+    assert_eq!(aspect(diagnosed("9x6:25mm", &pictures)), None);
+    for (_, pixel) in pictures.iter_mut().flat_map(|picture| &mut picture.image.corners) {
+        pixel.x *= 1.01;
+    }
+    let ratio = aspect(diagnosed("9x6:25mm", &pictures)).unwrap();
+    assert!((ratio - 1.01).abs() < 3e-3, "{ratio}");
+}
+
+/// A hand-held burst of each board tells no more of print, flatness and focus than one picture of it.
+#[test]
+fn a_burst_of_each_board_counts_once() {
+    let board: Board = "9x6:25mm".parse().unwrap();
+    let single: Vec<BoardPicture> = pictures("chess_9x6.csv", [640, 480]).into_iter().step_by(2).collect();
+    let mut random = gaussian(8);
+    let mut shaken = |picture: &BoardPicture, take: usize| {
+        let mut taken = BoardPicture { name: format!("{take} {}", picture.name), ..picture.clone() };
+        let shake = Vector2::new(random(), random()) * 4.0;
+        for (_, pixel) in &mut taken.image.corners {
+            *pixel += shake + Vector2::new(random(), random()) * 0.05;
+        }
+        taken
+    };
+    let bursts: Vec<BoardPicture> =
+        single.iter().flat_map(|picture| (0..5).map(|take| shaken(picture, take)).collect::<Vec<_>>()).collect();
+    let [one, five] = [&single, &bursts].map(|pictures| calibrate_camera(&board, pictures, LensModel::Five).unwrap());
+    assert!(five.used.len() > 2 * one.used.len(), "{}", five.used.len());
+    for axis in 0..2 {
+        let [one, five] = [&one, &five].map(|done| done.covariance[(axis, axis)].sqrt());
+        println!("σ {one:.2} px of single pictures, {five:.2} px of bursts");
+        assert!((0.75..1.25).contains(&(five / one)), "{one} {five}");
+    }
+    assert!(
+        !five.diagnostics.iter().any(|d| matches!(d, CameraDiagnostic::TwoLenses { .. })),
+        "{:?}",
+        five.diagnostics
+    );
 }

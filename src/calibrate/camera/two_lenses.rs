@@ -2,13 +2,14 @@
 //!
 //! In: a solution and its corners. Out: [`TwoLenses`], when one lens clearly does not fit.
 //!
-//! Pictures are first split by what each says alone, in many ways, and the splits compared to first order about the
-//! single lens. For the best of them each group is then solved separately, and every picture moves to the lens with the
-//! smaller residual, until none changes. Any set can be split like this; two lenses are reported only if they differ by
-//! more than their covariances, which include the scatter of one camera's pictures, and fit the corners better than
-//! one.
+//! Pictures in which the board lies alike share their errors and stay together: what is split are their clusters, most
+//! of them single pictures. They are first split by what each says alone, in many ways, and the splits compared to
+//! first order about the single lens. For the best of them each group is then solved separately, and every cluster
+//! moves to the lens with the smaller residual, until none changes. Any set can be split like this; two lenses are
+//! reported only if they differ by more than their covariances, which include the scatter of one camera's pictures, and
+//! fit the corners better than one.
 //!
-//! Cannot tell: groups of fewer than four pictures; lenses that differ less than other errors of the pictures. Of
+//! Cannot tell: groups of fewer than four clusters; lenses that differ less than other errors of the pictures. Of
 //! OpenCV's twelve pictures of one camera, half of them enlarged is detected at 5 %, at 3 % hardly. For its pair of
 //! cameras, with centres 15 px apart, a half-and-half mixture is detected.
 
@@ -19,8 +20,8 @@ use crate::optics::Lens;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Fewest pictures of a group.
-const MIN_PICTURES: usize = 4;
+/// Fewest clusters of a group.
+const MIN_CLUSTERS: usize = 4;
 const MAX_ROUNDS: usize = 8;
 /// Splits that are solved for: the best to first order.
 const MAX_STARTS: usize = 3;
@@ -62,13 +63,13 @@ pub(crate) fn two_lenses(solved: &Solution, corners: &[Corner]) -> Option<TwoLen
 struct Split {
     groups: [Vec<usize>; 2],
     solutions: [Solution; 2],
-    /// Sum of squares with the better lens for each picture.
+    /// Sum of squares with the better lens for each cluster.
     left: f64,
 }
 
-/// Splits of the pictures to start from, the most promising first: whether each picture is in the first group.
+/// Splits of the clusters to start from, the most promising first: whether each cluster is in the first group.
 ///
-/// In every direction in which the pictures' pulls differ, and along every unknown, the pictures are put in the order
+/// In every direction in which the clusters' pulls differ, and along every unknown, the clusters are put in the order
 /// of what each says alone, and parted at every gap.
 fn starts(parts: &[Part]) -> Vec<Vec<bool>> {
     let Some(size) = parts.first().map(|part| part.pull.len()) else { return Vec::new() };
@@ -95,17 +96,17 @@ fn is_same(a: &[bool], b: &[bool]) -> bool {
     a == b || a.iter().zip(b).all(|(a, b)| a != b)
 }
 
-/// Moves pictures to the group whose lens suits them better, to first order about the single lens, until none changes;
+/// Moves clusters to the group whose lens suits them better, to first order about the single lens, until none changes;
 /// and by how much two lenses lower the sum of squares.
 fn settled(parts: &[Part], mut first: Vec<bool>) -> Option<(f64, Vec<bool>)> {
     let size = parts.first()?.pull.len();
-    let of_pictures = parts.iter().fold(DMatrix::zeros(size, size), |sum, part| sum + &part.information);
-    let prior = DMatrix::identity(size, size) - of_pictures;
+    let of_parts = parts.iter().fold(DMatrix::zeros(size, size), |sum, part| sum + &part.information);
+    let prior = DMatrix::identity(size, size) - of_parts;
     let mut best: Option<(f64, Vec<bool>)> = None;
     for _ in 0..MAX_ROUNDS {
         let own =
             |which: bool| parts.iter().zip(&first).filter(move |(_, first)| **first == which).map(|(part, _)| part);
-        if [true, false].iter().any(|which| own(*which).count() < MIN_PICTURES) {
+        if [true, false].iter().any(|which| own(*which).count() < MIN_CLUSTERS) {
             break;
         }
         let moved = |which: bool| {
@@ -133,11 +134,14 @@ fn settled(parts: &[Part], mut first: Vec<bool>) -> Option<(f64, Vec<bool>)> {
 fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<Split> {
     let mut best: Option<Split> = None;
     for _ in 0..MAX_ROUNDS {
-        let group = |which: bool| (0..first.len()).filter(|i| first[*i] == which).collect::<Vec<usize>>();
-        let groups = [group(true), group(false)];
-        if groups.iter().any(|group| group.len() < MIN_PICTURES) {
+        if [true, false].iter().any(|which| first.iter().filter(|first| *first == which).count() < MIN_CLUSTERS) {
             break;
         }
+        let pictures = solved.clusters.iter().enumerate();
+        let group = |which: bool| {
+            pictures.clone().filter(|(_, cluster)| first.get(**cluster) == Some(&which)).map(|(i, _)| i).collect()
+        };
+        let groups: [Vec<usize>; 2] = [group(true), group(false)];
         let of = |group: &Vec<usize>| solved.of_pictures(group, corners).solve().ok();
         let (Some(a), Some(b)) = (of(&groups[0]), of(&groups[1])) else { break };
         let [by_a, by_b] = [&a, &b].map(|lens| squares(solved, &lens.geometry.lens, corners));
@@ -155,7 +159,7 @@ fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<S
     best
 }
 
-/// For each picture, the sum of squares with a lens, its pose being free.
+/// For each cluster, the sum of squares with a lens, the poses being free.
 fn squares(solved: &Solution, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64>> {
     let all: Vec<usize> = (0..solved.poses.len()).collect();
     let mut bundle: Bundle = solved.of_pictures(&all, corners);
@@ -163,9 +167,9 @@ fn squares(solved: &Solution, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64
     bundle.free = Vec::new();
     let left = bundle.search().ok()?.left_px().ok()?;
     let most = (OUTLIER * solved.corner_sd_px).powi(2);
-    let mut sums = vec![0.0; all.len()];
+    let mut sums = vec![0.0; solved.parts.len()];
     for (corner, residual) in corners.iter().zip(left) {
-        *sums.get_mut(corner.picture)? += residual.norm_squared().min(most);
+        *sums.get_mut(*solved.clusters.get(corner.picture)?)? += residual.norm_squared().min(most);
     }
     Some(sums)
 }

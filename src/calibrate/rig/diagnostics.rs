@@ -6,7 +6,10 @@
 //! Residuals of pure noise are uncorrelated between neighbours; a bent mirror, a lens of another kind, or undeclared
 //! water leave residuals that are correlated across the picture ([`neighbourhoods`]).
 //!
-//! Cannot tell: errors of the model that other parameters absorb, such as a wrong thickness of the glass.
+//! What is known of lens, distances and angles is compared with all the rest, boards taped to walls included.
+//!
+//! Cannot tell: errors of the model that other parameters absorb, such as a wrong thickness of the glass; a taped board
+//! that is not flat on its wall.
 
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{NoSolution, Solution};

@@ -56,6 +56,8 @@ pub struct Suggestion {
 pub struct Verdict {
     /// Errors all over the working volume.
     pub expected: Vec<Expected>,
+    /// The box that the boards filled: its lowest and its highest corner, camera frame, metres.
+    pub filled: [Vector3<f64>; 2],
     /// Noise of a pixel coordinate that `Expected::random_m` is for.
     pub pixel_sd_px: f64,
     /// The direction in which the position of the whole volume is least certain, camera frame, unit, and its σ, metres.
@@ -71,14 +73,6 @@ impl Verdict {
     /// Median and largest of one kind of error over the volume.
     pub fn median_and_worst(&self, of: impl Fn(&Expected) -> f64) -> (f64, f64) {
         upper_median_and_largest(self.expected.iter().map(of).collect())
-    }
-
-    /// The box of points evaluated: its lowest and its highest corner, camera frame, metres.
-    pub fn extent(&self) -> [Vector3<f64>; 2] {
-        let bound = |pick: fn(f64, f64) -> f64, start: f64| {
-            self.expected.iter().fold(Vector3::repeat(start), |b, e| b.zip_map(&e.place.coords, pick))
-        };
-        [bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY)]
     }
 
     /// The best of each kind for the base frame, best first.
@@ -118,8 +112,9 @@ struct Volume {
 ///
 /// `None` when two views see fewer than four points of the volume.
 pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -> Option<Verdict> {
-    let filled: Vec<Point3<f64>> = corners.iter().map(|c| solution.poses[c.picture] * c.place).collect();
-    let volume = Volume::of(&solution.geometry, &solution.free, &grid(&filled))?;
+    let seen: Vec<Point3<f64>> = corners.iter().map(|c| solution.poses[c.picture] * c.place).collect();
+    let filled = bounds(&seen);
+    let volume = Volume::of(&solution.geometry, &solution.free, &grid(filled))?;
     let medians = |covariance: &DMatrix<f64>| {
         let median = |k: &DMatrix<f64>| upper_median_and_largest(spreads(k, covariance)).0;
         (median(&volume.absolute), median(&volume.relative))
@@ -148,6 +143,7 @@ pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -
     helpful.sort_by(|a, b| a.absolute_m.total_cmp(&b.absolute_m));
     Some(Verdict {
         expected,
+        filled,
         pixel_sd_px: solution.corner_sd_px,
         weakest: volume.weakest(&solution.covariance),
         angle_rad: upper_median_and_largest(volume.turns(&solution.covariance)),
@@ -155,13 +151,16 @@ pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -
     })
 }
 
-/// A grid over the bounding box of some points, with each side slightly shortened because its corners were never
-/// covered.
-fn grid(filled: &[Point3<f64>]) -> Vec<Point3<f64>> {
+/// The box of some points: its lowest and its highest corner.
+fn bounds(points: &[Point3<f64>]) -> [Vector3<f64>; 2] {
     let bound = |pick: fn(f64, f64) -> f64, start: f64| {
-        filled.iter().fold(Vector3::repeat(start), |b, p| b.zip_map(&p.coords, pick))
+        points.iter().fold(Vector3::repeat(start), |b, p| b.zip_map(&p.coords, pick))
     };
-    let (low, high) = (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY));
+    [bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY)]
+}
+
+/// A grid over a box, a tenth of each side within it: its corners were never covered.
+fn grid([low, high]: [Vector3<f64>; 2]) -> Vec<Point3<f64>> {
     let part = |i: usize| 0.1 + 0.8 * i as f64 / (PLACES - 1) as f64;
     let axis = 0..PLACES;
     axis.clone()
@@ -364,6 +363,15 @@ fn information(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn errors_are_judged_within_the_box_of_the_boards() {
+        let box_m = bounds(&[Point3::new(-1.0, 0.0, 2.0), Point3::new(0.0, 3.0, 1.0), Point3::new(1.0, 1.0, 1.5)]);
+        assert_eq!(box_m, [Vector3::new(-1.0, 0.0, 1.0), Vector3::new(1.0, 3.0, 2.0)]);
+        let [low, high] = bounds(&grid(box_m));
+        assert!((low - Vector3::new(-0.8, 0.3, 1.1)).norm() < 1e-12, "{low}");
+        assert!((high - Vector3::new(0.8, 2.7, 1.9)).norm() < 1e-12, "{high}");
+    }
 
     #[test]
     fn a_twist_turns_neighbours_by_its_angle_times_their_distance() {

@@ -1,8 +1,9 @@
 //! A check without an error model: lengths on boards, measured with a rig that was calibrated without their picture.
 //!
-//! In: a solution and its corners. Out: for each picture, [`HeldOut`].
+//! In: a calibration. Out: for each picture, [`HeldOut`].
 //!
-//! Each picture is held out in turn and the rest solved again, starting from the full solution. Every corner that two
+//! Each picture is held out in turn, with those in which the board lies alike, and the rest solved again, starting from
+//! the full solution. Every corner that two
 //! views of the picture show is then triangulated as in the tracker; distances between corners are known from the
 //! board, and the rays of the views should meet. The noise of the corners alone explains [`Length::noise_sd_m`]; the
 //! excess is the rig's.
@@ -11,6 +12,7 @@
 //! pictures).
 
 use crate::calibrate::bundle::{Corner, NoSolution, Solution};
+use crate::calibrate::rig::RigCalibration;
 use crate::optics::{Sighting, triangulate};
 use nalgebra::{Matrix2, Matrix3, Point3};
 use rayon::prelude::*;
@@ -92,15 +94,23 @@ impl LengthErrors {
     }
 }
 
-/// Holds out each picture in turn, in the order of the solution's pictures.
+/// Holds out each picture in turn, in the order of those used. Boards taped to walls stay in.
 ///
 /// # Errors
 /// For a picture: `NoSolution` when the others alone do not determine the rig.
-pub fn held_out(solution: &Solution, corners: &[Corner]) -> Vec<Result<HeldOut, NoSolution>> {
-    (0..solution.poses.len())
+pub fn held_out(done: &RigCalibration) -> Vec<Result<HeldOut, NoSolution>> {
+    let (solution, corners) = &done.with_taped;
+    first_held_out(done.used.len(), solution, corners)
+}
+
+/// Holds out each of the first `count` pictures in turn.
+fn first_held_out(count: usize, solution: &Solution, corners: &[Corner]) -> Vec<Result<HeldOut, NoSolution>> {
+    (0..count)
         .into_par_iter()
         .map(|picture| {
-            let rest: Vec<usize> = (0..solution.poses.len()).filter(|other| *other != picture).collect();
+            let cluster = solution.clusters.get(picture);
+            let rest: Vec<usize> =
+                (0..solution.poses.len()).filter(|other| solution.clusters.get(*other) != cluster).collect();
             let others = solution.of_pictures(&rest, corners).solve()?;
             Ok(measure(picture, &others, corners, solution.corner_sd_px))
         })
@@ -162,7 +172,7 @@ mod tests {
     fn all(sd_px: f64, seed: u64) -> Vec<HeldOut> {
         let bundle = bundle(&geometry(), sd_px, if sd_px > 0.0 { 1.0 } else { 0.0 }, seed);
         let corners = bundle.corners.clone();
-        held_out(&bundle.solve().unwrap(), &corners).into_iter().map(Result::unwrap).collect()
+        first_held_out(12, &bundle.solve().unwrap(), &corners).into_iter().map(Result::unwrap).collect()
     }
 
     #[test]
@@ -202,7 +212,7 @@ mod tests {
             corner.place = Point3::from(corner.place.coords / 1.005);
         }
         let corners = bundle.corners.clone();
-        let pictures = held_out(&bundle.solve().unwrap(), &corners);
+        let pictures = first_held_out(12, &bundle.solve().unwrap(), &corners);
         let held = pictures[4].as_ref().unwrap();
         let scale = held.scale.unwrap();
         assert!((scale - 0.005).abs() < 1e-6, "{scale}");
@@ -223,7 +233,7 @@ mod tests {
         let solution = bundle.solve().unwrap();
         // One picture and nothing else known: 18 unknowns of lens, mirror and walls are too many.
         let solution = Solution { known: Vec::new(), ..solution };
-        for held in held_out(&solution, &corners) {
+        for held in first_held_out(2, &solution, &corners) {
             assert!(held.is_err(), "{held:?}");
         }
     }

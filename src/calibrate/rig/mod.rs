@@ -60,14 +60,16 @@ const POSE_ERROR: f64 = 0.02;
 /// The rig's optics with their covariance.
 #[derive(Debug, Clone)]
 pub struct RigCalibration {
-    /// The solution.
+    /// The solution, of the rig alone: boards taped to walls are no part of it.
     pub solution: Solution,
-    /// The corners used.
+    /// The corners used, without those of taped boards.
     pub corners: Vec<Corner>,
     /// For each picture used, its index among those given and its residuals.
     pub used: Vec<(usize, UsedPicture)>,
     /// Pictures left out, and why.
     pub left_out: Vec<(String, String)>,
+    /// Solution and corners with the taped boards, the last of its pictures.
+    pub(crate) with_taped: (Solution, Vec<Corner>),
 }
 
 /// Calibrates mirrors and walls.
@@ -131,7 +133,8 @@ fn adjusted(
         check_views(&start)?;
         before_wall(target, &start, options, &name)?;
         let names: Vec<String> = start.pictures.iter().map(|sorted| name(sorted.picture)).collect();
-        let (solution, corners) = best(target, lens, &start, &names, options)?;
+        let with_taped = best(target, lens, &start, &names, options)?;
+        let (solution, corners) = without_taped(&with_taped, &start);
         let used: Vec<UsedPicture> = names
             .into_iter()
             .enumerate()
@@ -144,7 +147,7 @@ fn adjusted(
         let Some((index, off)) = worst_picture(&used) else {
             determined(&solution)?;
             let used = start.pictures.iter().map(|s| s.picture).zip(used).collect();
-            return Ok(RigCalibration { solution, corners, used, left_out });
+            return Ok(RigCalibration { solution, corners, used, left_out, with_taped });
         };
         let sorted = start.pictures.remove(index);
         left_out.push((name(sorted.picture), off.to_string()));
@@ -212,7 +215,7 @@ fn best(
         })
         .collect();
     let margins: &[f64] = if options.tank.is_some() { &MARGINS_M } else { &[0.0] };
-    let mut best: Result<Solution, RigCalibrationError> = Err(NoSolution::NotConverged.into());
+    let mut best: Result<(Solution, Vec<Corner>), RigCalibrationError> = Err(NoSolution::NotConverged.into());
     for margin_m in margins {
         let (geometry, poses) = first_geometry(lens, start, options, *margin_m)?;
         let known = known(&geometry, options)?;
@@ -236,24 +239,30 @@ fn best(
         }
         let solved = rough.and_then(|rough| {
             let Bundle { geometry, poses, names, shape, .. } = rough;
-            Bundle { geometry, free, poses, names, corners, known, shape }.solve()
+            Bundle { geometry, free, poses, names, corners: corners.clone(), known, shape }.solve()
         });
         let cost = |s: &Solution| rms(s.residuals_px.iter().copied());
         match (solved, &best) {
-            (Ok(solved), Ok(found)) if cost(&solved) >= cost(found) => {}
-            (Ok(solved), _) => best = Ok(solved),
+            (Ok(solved), Ok((found, _))) if cost(&solved) >= cost(found) => {}
+            (Ok(solved), _) => best = Ok((solved, corners)),
             (Err(why), Err(_)) => best = Err(why.into()),
             (Err(_), Ok(_)) => {}
         }
     }
-    // Taped boards and their views are no longer needed: they are not part of the rig.
-    let mut solution = best?;
+    best
+}
+
+/// The part of a solution that belongs to the rig: taped boards and their views come last.
+fn without_taped((whole, corners): &(Solution, Vec<Corner>), start: &Initial) -> (Solution, Vec<Corner>) {
+    let (mut solution, pictures) = (whole.clone(), start.pictures.len());
+    let corners: Vec<Corner> = corners.iter().filter(|corner| corner.picture < pictures).copied().collect();
     solution.geometry.views.truncate(1 + start.mirrors.len());
-    solution.poses.truncate(start.pictures.len());
-    solution.names.truncate(start.pictures.len());
-    solution.residuals_px.truncate(seen.len());
+    solution.poses.truncate(pictures);
+    solution.names.truncate(pictures);
+    solution.clusters.truncate(pictures);
+    solution.residuals_px.truncate(corners.len());
     solution.known.retain(|known| !matches!(known, Prior::Taped { .. }));
-    Ok((solution, seen))
+    (solution, corners)
 }
 
 /// The rig file with its mirrors, walls and views replaced by the new ones. Its base frame was found with the old ones

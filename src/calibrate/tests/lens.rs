@@ -84,6 +84,19 @@ fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
     assert!(matches!(error(&same), CameraError::TooFew { found: 1, .. }));
     let parallel = error(&air(&[[0.05, 0.03, 0.0]; 8], 0.05));
     assert!(matches!(parallel, CameraError::Parallel { .. } | CameraError::Open { .. }), "{parallel}");
+    // Three tilts, each five times in nearly the same place.
+    let mut moved = gaussian(4);
+    let bursts: Vec<BoardPicture> = air(&[TILTS[0], TILTS[2], TILTS[3]], 0.05)
+        .into_iter()
+        .flat_map(|picture| vec![picture; 5])
+        .map(|mut picture| {
+            let shake = Vector2::new(moved(), moved()) * 5.0;
+            picture.image.corners.iter_mut().for_each(|(_, pixel)| *pixel += shake);
+            picture
+        })
+        .collect();
+    let alike = error(&bursts);
+    assert!(matches!(alike, CameraError::Alike { found: 3, .. }), "{alike}");
     let mut mixed = air(&TILTS, 0.05);
     mixed[4].size_px = [1024, 1280];
     let text = error(&mixed).to_string();

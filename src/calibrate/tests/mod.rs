@@ -7,6 +7,7 @@ use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::camera::{LensModel, calibrate_camera};
 use crate::calibrate::geometry::{Geometry, Projector};
 use crate::calibrate::rig::expected_error::verdict;
+use crate::calibrate::rig::held_out::held_out;
 use crate::calibrate::rig::initial::BoardsPicture;
 use crate::calibrate::rig::{RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig};
 use crate::optics::{Lens, Mirror, Plane, Surface, Wall};
@@ -310,6 +311,11 @@ fn a_board_taped_to_a_wall_pins_it() {
         println!("{surface}: {:.3} mm off, σ {:.3} mm", error * 1e3, sd * 1e3);
         assert!(sd < limit_m && error.abs() < 3.5 * sd, "surface {surface}: {error} m off, σ {sd} m");
     }
+    // A picture is held out from what the taped boards tell as well.
+    let alone = RigCalibration { with_taped: (found.solution.clone(), found.corners.clone()), ..found.clone() };
+    let held = held_out(&found);
+    assert!(held.len() == found.used.len() && held.iter().all(Result::is_ok), "{held:?}");
+    assert_ne!(held, held_out(&alone));
     // Boards that show whether they are mirrored must be seen the same way as their wall.
     for (taped, says) in [(0, "seen in a mirror, that wall directly"), (1, "seen directly, that wall in the mirror")] {
         let mut options = options.clone();

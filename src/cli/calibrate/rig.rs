@@ -6,6 +6,7 @@ use super::pictures::{self, SearchedPicture};
 use super::{Length, can_be_written, save};
 use crate::atomic_file;
 use crate::calibrate::board::{Board, BoardPicture, Grey, Rows};
+use crate::calibrate::bundle::NoSolution;
 use crate::calibrate::geometry::Parameter;
 use crate::calibrate::rig::diagnostics::diagnose;
 use crate::calibrate::rig::expected_error::{Verdict, verdict};
@@ -143,9 +144,9 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     let judged = during("judging the errors over the working volume", quiet, || {
         verdict(&done.solution, &done.corners, &seen.places())
     });
-    let held = during("leaving out each picture in turn", quiet, || held_out(&done.solution, &done.corners));
+    let held = during("leaving out each picture in turn", quiet, || held_out(&done));
     print(&describe(&seen, &done, judged.as_ref(), &options))?;
-    print(&describe_held_out(held.iter().flatten()))?;
+    print(&describe_held_out(&held))?;
     for astray in pictures::astray(done.used.iter().map(|(_, picture)| picture), done.solution.corner_sd_px) {
         tracing::warn!("{astray}");
     }
@@ -370,7 +371,7 @@ fn provenance(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>) -> R
     table.insert("sd_by_noise".into(), noise.into());
     if let Some(judged) = judged {
         let corners =
-            judged.extent().map(|corner| toml::Value::from(corner.iter().map(|m| m * 1e3).collect::<Vec<f64>>()));
+            judged.filled.map(|corner| toml::Value::from(corner.iter().map(|m| m * 1e3).collect::<Vec<f64>>()));
         table.insert("volume_mm".into(), corners.to_vec().into());
     }
     Ok(table)
@@ -434,7 +435,7 @@ fn describe_verdict(judged: &Verdict) -> String {
     let line = |what: &str, (median_m, worst_m): (f64, f64)| {
         format!("{what:<34} {:>8.3}   {:>8.3}\n", median_m * 1e3, worst_m * 1e3)
     };
-    let [low, high] = judged.extent();
+    let [low, high] = judged.filled;
     let side = |axis: usize| format!("{:.0} to {:.0}", low[axis] * 1e3, high[axis] * 1e3);
     let mut text = format!(
         "\nin the boards' volume, x {}, y {}, z {} mm of the camera frame (outside of it, errors grow quickly):\n\
@@ -471,28 +472,48 @@ fn describe_verdict(judged: &Verdict) -> String {
     text
 }
 
-/// A line about the check on held-out pictures.
-fn describe_held_out<'a>(held: impl Iterator<Item = &'a HeldOut> + Clone) -> String {
-    let edges = LengthErrors::of(held.clone().flat_map(|h| &h.edges));
-    let diagonals = LengthErrors::of(held.clone().flat_map(|h| &h.diagonals));
-    let (Some(edges), Some(diagonals)) = (edges, diagonals) else { return String::new() };
-    format!(
-        "held out in turn, {} edges of {:.1} mm are off by {:.3} mm RMS (corner noise explains {:.3}), {} diagonals of \
-         {:.1} mm by {:.3} mm ({:.3})\n",
-        edges.count,
-        edges.nominal_m * 1e3,
-        edges.rms_m * 1e3,
-        edges.noise_m * 1e3,
-        diagonals.count,
-        diagonals.nominal_m * 1e3,
-        diagonals.rms_m * 1e3,
-        diagonals.noise_m * 1e3
-    )
+/// Lines about the check on held-out pictures.
+fn describe_held_out(held: &[Result<HeldOut, NoSolution>]) -> String {
+    let mut text = String::new();
+    let edges = LengthErrors::of(held.iter().flatten().flat_map(|h| &h.edges));
+    let diagonals = LengthErrors::of(held.iter().flatten().flat_map(|h| &h.diagonals));
+    if let (Some(edges), Some(diagonals)) = (edges, diagonals) {
+        let _ = writeln!(
+            text,
+            "held out in turn, {} edges of {:.1} mm are off by {:.3} mm RMS (corner noise explains {:.3}), {} \
+             diagonals of {:.1} mm by {:.3} mm ({:.3})",
+            edges.count,
+            edges.nominal_m * 1e3,
+            edges.rms_m * 1e3,
+            edges.noise_m * 1e3,
+            diagonals.count,
+            diagonals.nominal_m * 1e3,
+            diagonals.rms_m * 1e3,
+            diagonals.noise_m * 1e3
+        );
+    }
+    let failed = held.iter().filter(|held| held.is_err()).count();
+    if failed > 0 {
+        let _ = writeln!(
+            text,
+            "{failed} of {} pictures could not be held out: without each of them the rig is open",
+            held.len()
+        );
+    }
+    text
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pictures_that_cannot_be_held_out_are_counted() {
+        let held = HeldOut { edges: Vec::new(), diagonals: Vec::new(), scale: None, rays_m: Vec::new() };
+        assert_eq!(describe_held_out(&[Ok(held.clone())]), "");
+        let told = describe_held_out(&[Ok(held), Err(NoSolution::Singular), Err(NoSolution::NotConverged)]);
+        assert!(told.starts_with("2 of 3 pictures could not be held out"), "{told}");
+    }
 
     #[test]
     fn boxes_and_distances_as_people_write_them() {

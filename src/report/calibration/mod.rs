@@ -90,7 +90,7 @@ fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, diagnostics: &[Diag
         |v| {
             let ((relative, relative_worst), (absolute, _)) =
                 (v.median_and_worst(relative), v.median_and_worst(absolute));
-            let [low, high] = v.extent();
+            let [low, high] = v.filled;
             let side = |axis: usize| format!("{:.0} to {:.0}", low[axis] * 1e3, high[axis] * 1e3);
             format!(
                 "The calibration adds {} to positions and displacements in the base frame ({} at the worst place), {} \
