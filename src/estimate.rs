@@ -133,7 +133,8 @@ pub struct BandObservation {
     pub axis: Vector2<f64>,
     /// Standard deviation of the axis' direction, radians.
     pub axis_sd_rad: f64,
-    /// Measured minus projected position of the estimate, pixels: does this view fit the others?
+    /// Measured minus projected position of the estimate, pixels: does this view fit the others? Bands that are fitted
+    /// together, as coil and tip, have one for all.
     pub residual_px: Vector2<f64>,
     /// RMS difference between picture and band model, in units of the stored samples (0..255).
     pub fit_rms: f64,

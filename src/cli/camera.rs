@@ -1,12 +1,12 @@
 //! Live sources as they are named on the command line, by `live` and `studio`.
 
-use super::Failure;
+use super::{Exit, Failure};
 use crate::source::host::HostClock;
 use crate::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
 use crate::source::{self, FrameRate, FrameSource, SourceOptions};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Options of a live source.
 #[derive(Debug, clap::Args)]
@@ -112,7 +112,10 @@ impl SourceArgs {
             let advice = "is a file or folder: play it at its own pace with --realtime, or use `catoptra track`";
             return Err(Failure::usage(format!("{name}: {advice}")));
         }
-        Ok(Box::new(Stream::open(name, clock, Arc::clone(stop)).map_err(Failure::usage)?))
+        Ok(Box::new(Stream::open(name, clock, Arc::clone(stop)).map_err(|error| {
+            let exit = if stop.load(Ordering::Relaxed) { Exit::Interrupted } else { Exit::Usage };
+            Failure::new(exit, error)
+        })?))
     }
 
     /// The options for a camera.

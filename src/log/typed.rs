@@ -69,6 +69,7 @@ fn drift(alarm: &DynamicMessage) -> DriftAlarm {
         sd_px: optional_float(alarm, "sd_px"),
         size_m: float(alarm, "size_m").unwrap_or(f64::NAN),
         sd_m: optional_float(alarm, "sd_m"),
+        over_ns: optional_number(alarm, "over_ns"),
     }
 }
 

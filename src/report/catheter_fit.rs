@@ -36,6 +36,7 @@ pub(crate) fn page(fit: &Fit, runs: &[(&Run, &Check, bool)], settings: &[(String
         .collect();
     let open: String = fit.open.iter().map(|open| format!("<li>{}</li>\n", escape(&open.sentence()))).collect();
     let open = if open.is_empty() { String::new() } else { format!("<h2>Not determined</h2>\n<ul>\n{open}</ul>\n") };
+    let widening = fit.widening().map_or(String::new(), |words| format!(" Here {}.", escape(&words)));
     let names: Vec<&str> = std::iter::once("").chain(fit.estimated.iter().map(|e| e.parameter.name())).collect();
     let correlations: Vec<Vec<String>> = fit
         .estimated
@@ -55,7 +56,8 @@ pub(crate) fn page(fit: &Fit, runs: &[(&Run, &Check, bool)], settings: &[(String
     facts.extend(settings.iter().cloned());
     let body = format!(
         "<header>\n<p class=\"kind\">Catoptra catheter: fit</p>\n<h1>{}</h1>\n</header>\n<dl class=\"key\">\n{}</dl>\n\
-         <h2>Values</h2>\n<p>σ is that of the noise, larger where residuals are larger than the noise.</p>\n{}{open}\
+         <h2>Values</h2>\n<p>σ is that of the noise, larger where residuals are larger than the \
+         noise.{widening}</p>\n{}{open}\
          <h2>Correlations</h2>\n<p>Near ±1 two values cannot be told apart.</p>\n{}{of_runs}<h2>Settings</h2>\n{}\
          <footer>Catoptra {}. This file needs no network.</footer>\n",
         escape(&runs.iter().map(|(run, ..)| run.name.as_str()).collect::<Vec<_>>().join(", ")),
@@ -129,4 +131,30 @@ fn residuals(run: &Run, check: &Check) -> Plot {
         plot.add_trace(Scatter::new(time, off).name(name).mode(Mode::Markers).marker(marker));
     }
     plot
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::catheter::{Catheter, Noise};
+    use nalgebra::DMatrix;
+
+    #[test]
+    fn sigma_that_was_widened_is_told() {
+        let fit = |widened| Fit {
+            catheter: Catheter::prototype(),
+            delay_s: 0.0,
+            estimated: Vec::new(),
+            correlation: DMatrix::zeros(0, 0),
+            open: Vec::new(),
+            pauses: Vec::new(),
+            unsettled: 0,
+            noise: Noise { point_m: 1e-5, angle_rad: 1e-3, missing: 0.0 },
+            misfit: 1.0,
+            widened,
+            in_motion: true,
+        };
+        let told = |widened| page(&fit(widened), &[], &[]).contains("σ are up to 2.5 times as large");
+        assert!(told(2.5) && !told(1.0));
+    }
 }

@@ -327,8 +327,9 @@ fn alarms(course: &Course, tally: &Tally) -> String {
         );
     }
     let row = |alarm: &AlarmInWords| {
-        let at_s = course.origin().map_or(0.0, |origin| origin.elapsed_s(alarm.ns));
-        vec![Html::from(format!("{at_s:.3} s")), Html::with_code(&alarm.what)]
+        let at = |ns: i64| format!("{:.3} s", course.origin().map_or(0.0, |origin| origin.elapsed_s(ns)));
+        let until = alarm.over_ns.map_or("the end".to_owned(), at);
+        vec![Html::from(at(alarm.ns)), Html::with_code(&alarm.what), Html::from(until)]
     };
     let rows: Vec<Vec<Html>> = alarms.iter().map(row).collect();
     let advice: BTreeSet<&str> = alarms.iter().map(|alarm| alarm.advice).collect();
@@ -336,7 +337,7 @@ fn alarms(course: &Course, tally: &Tally) -> String {
         let words = Html::with_code(advice);
         format!("<p class=\"advice\">Places are off by more than their σ: {words}.</p>\n")
     });
-    table(2, &["From", "What"], &rows) + &advice.collect::<String>()
+    table(3, &["From", "What", "Until"], &rows) + &advice.collect::<String>()
 }
 
 fn section(title: &str, words: &str, plots: &str, signs: &str) -> String {

@@ -26,20 +26,10 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         return Err(LogError::NotOurs { path: path.to_owned() }.into());
     }
     let cut = condition.summary().or(reader.undecoded);
-    // All positions are in one frame of reference: the base, if the rig had one.
-    let Reader { clock, markers, frames, mut currents, in_base, .. } = reader;
+    let Reader { clock, markers, frames, mut currents, reference, .. } = reader;
     leave_out_odd(&mut currents, path);
-    let reference = if in_base { OutputFrame::Base } else { OutputFrame::Camera };
-    let mut recording = Recording {
-        path: path.to_owned(),
-        clock,
-        reference: Some(reference),
-        markers,
-        frames,
-        currents,
-        cut,
-        vetoed: 0,
-    };
+    let mut recording =
+        Recording { path: path.to_owned(), clock, reference, markers, frames, currents, cut, vetoed: 0 };
     if let Some(clocks) = recording.clocks() {
         for current in &mut recording.currents {
             current.stamp_ns = current.host_ns.map(|host_ns| clocks.camera_ns(host_ns));
@@ -55,7 +45,8 @@ struct Reader {
     markers: Vec<String>,
     frames: Vec<Frame>,
     currents: Vec<Current>,
-    in_base: bool,
+    /// That of all that was measured: the base frame, if the rig had one.
+    reference: Option<OutputFrame>,
     /// A message that does not match its schema.
     undecoded: Option<String>,
 }
@@ -90,8 +81,8 @@ impl Reader {
             self.clock = text(message, "clock");
             self.markers = markers.iter().map(|marker| text(marker, "name").unwrap_or_default()).collect();
         }
-        if !self.in_base && in_base(&markers, tangent.as_ref()) {
-            self.in_base = true;
+        if self.reference.is_none() {
+            self.reference = reference(&markers, tangent.as_ref());
         }
         self.frames.push(Frame {
             seq: whole(message, "seq"),
@@ -112,10 +103,14 @@ impl Reader {
     }
 }
 
-fn in_base(markers: &[DynamicMessage], tangent: Option<&DynamicMessage>) -> bool {
-    let has = |message: &DynamicMessage, field: &str| message.has_field_by_name(field);
-    let place = |marker: &DynamicMessage| inner(marker, "position").is_some_and(|place| has(&place, "in_base_m"));
-    markers.iter().any(place) || tangent.is_some_and(|tangent| has(tangent, "in_base"))
+/// The frame of reference of what was measured in a frame; `None` when that is nothing.
+fn reference(markers: &[DynamicMessage], tangent: Option<&DynamicMessage>) -> Option<OutputFrame> {
+    let place = markers.iter().find_map(|marker| inner(marker, "position"));
+    let in_base = match (place, tangent) {
+        (Some(place), _) => place.has_field_by_name("in_base_m"),
+        (None, tangent) => tangent?.has_field_by_name("in_base"),
+    };
+    Some(if in_base { OutputFrame::Base } else { OutputFrame::Camera })
 }
 
 fn place(marker: &DynamicMessage) -> Place {

@@ -43,7 +43,7 @@ pub struct Recording {
     pub path: PathBuf,
     /// Name of the camera's clock; `None` when the file does not state it (a table).
     pub clock: Option<String>,
-    /// Frame of reference of positions and tangents; `None` when the file does not state it.
+    /// Frame of reference of positions and tangents; `None` when the file does not state it, as a log without any.
     pub reference: Option<OutputFrame>,
     /// Names of the markers, in the order of [`Frame::places`].
     pub markers: Vec<String>,

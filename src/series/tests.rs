@@ -1,4 +1,5 @@
 use super::*;
+use crate::estimate::Miss;
 use crate::sink::{CsvSink, CurrentSample, McapSink, Sink as _};
 use crate::source::HostTime;
 use crate::tally::Tally;
@@ -116,6 +117,26 @@ fn a_table_in_the_camera_frame_is_known_by_the_run_beside_it() {
     assert_eq!(Recording::read(&table).unwrap().reference, None);
     fs::write(folder.path().join("run.toml"), "frame = \"camera\"\n").unwrap();
     assert_eq!(Recording::read(&table).unwrap().reference, Some(OutputFrame::Camera));
+}
+
+#[test]
+fn a_log_states_the_frame_of_reference_of_what_was_measured_and_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let reference = |rig: &crate::rig::Rig, measured: bool| {
+        let mut estimate = fixture::complete(0, 0);
+        if !measured {
+            estimate.markers.iter_mut().for_each(|marker| marker.position = Err(Miss::NotConverged));
+            estimate.tangent = Err(Miss::MarkerMissing);
+        }
+        let mut log = McapSink::create(&path, rig, "", "").unwrap();
+        log.write(&estimate, None).unwrap();
+        log.finish(&Tally::default()).unwrap();
+        Recording::read(&path).unwrap().reference
+    };
+    let (in_base, in_camera) = (fixture::rig(), crate::rig::Rig { base: None, ..fixture::rig() });
+    assert_eq!((reference(&in_base, true), reference(&in_base, false)), (Some(OutputFrame::Base), None));
+    assert_eq!((reference(&in_camera, true), reference(&in_camera, false)), (Some(OutputFrame::Camera), None));
 }
 
 #[test]

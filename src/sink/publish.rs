@@ -6,7 +6,7 @@
 
 use super::encoder::{Message, MessageEncoder, file_time_ns};
 use super::gate::{Gate, hidden_address};
-use super::{Sink, SinkError};
+use super::{CurrentSample, Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::log::schema::{ENCODING, Topic};
 use crate::rig::Rig;
@@ -126,6 +126,11 @@ impl Sink for PublishSink {
             self.encoder.rig(estimate.stamp.ns)?.into_iter().for_each(|message| self.board.publish(message, time_ns));
         }
         self.encoder.frame(estimate)?.into_iter().for_each(|message| self.board.publish(message, time_ns));
+        Ok(())
+    }
+
+    fn write_current(&mut self, sample: &CurrentSample) -> Result<(), SinkError> {
+        self.board.publish(MessageEncoder::current(sample)?, file_time_ns(sample.arrival_ns));
         Ok(())
     }
 

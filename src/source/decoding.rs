@@ -7,13 +7,15 @@ use super::check::{InCheck, PacketCheck, Verdict};
 use super::container::{MAX_REORDERED, best_video, count_hint, open_decoder, open_input};
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
-use super::messages::Messages;
+use super::messages::{self, Messages};
 use super::quantisation::Stated;
 use super::times::seconds;
 use super::{Clock, SourceError, Span};
 use ffmpeg_the_third as av;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Packets of a stream whose arrival times are remembered: more than any encoder reorders.
@@ -73,6 +75,8 @@ pub(super) struct Decoding {
     ahead: Option<av::frame::Video>,
     /// No more packets: the decoder is being drained.
     draining: bool,
+    /// Live: set when no more packets are wanted.
+    pub stop: Arc<AtomicBool>,
     /// Why the recording is known to end early.
     pub ends_early: Option<String>,
     /// How many packets could not be read or decoded.
@@ -124,6 +128,7 @@ impl Decoding {
             held: VecDeque::new(),
             ahead: None,
             draining: false,
+            stop: Arc::default(),
             ends_early: None,
             damaged_packets: 0,
             reached_ns: None,
@@ -274,7 +279,9 @@ impl Decoding {
     fn feed(&mut self) {
         let mut unreadable = 0;
         loop {
-            let next = if self.is_hopeless() {
+            let next = if self.stop.load(Ordering::Relaxed) {
+                Err(av::Error::Eof)
+            } else if self.is_hopeless() {
                 let waited = KEY_FRAME_TIMEOUT.as_secs();
                 self.ends_early = Some(format!("no key frame in {waited} s: let the sender send them more often"));
                 Err(av::Error::Eof)
@@ -346,7 +353,11 @@ impl Decoding {
     fn read_packet(&mut self) -> Result<av::Packet, av::Error> {
         let mut packet = av::Packet::empty();
         loop {
-            packet.read(&mut self.input)?;
+            let (read, cut_off) = messages::hearing_of_a_cut(|| packet.read(&mut self.input));
+            if cut_off {
+                self.ends_early.get_or_insert_with(|| "its container ends in the middle of an element".to_owned());
+            }
+            read?;
             if packet.stream() == self.stream {
                 break;
             }

@@ -11,6 +11,8 @@
 //! readable frames, then [`SourceError::Truncated`].
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use ffmpeg_the_third as av;
@@ -123,14 +125,17 @@ impl VideoFile {
         Ok(source)
     }
 
-    /// Opens the live stream at `url`: frames leave the decoder at once, and may change their size.
+    /// Opens the live stream at `url`: frames leave the decoder at once, and may change their size. It ends when `stop` is
+    /// set.
     ///
     /// # Errors
     /// When nobody answers, or the data is not a video that can be decoded.
-    pub(super) fn stream(url: &str) -> Result<Self, SourceError> {
+    pub(super) fn stream(url: &str, stop: &Arc<AtomicBool>) -> Result<Self, SourceError> {
         quiet_libav();
         let options = VideoOptions { keep_damaged: true, ..VideoOptions::default() };
-        Self::of_input(url.into(), open_stream(url)?, options, Clock::Stream)
+        let mut source = Self::of_input(url.into(), open_stream(url)?, options, Clock::Stream)?;
+        source.decoding.stop = Arc::clone(stop);
+        Ok(source)
     }
 
     fn of_input(

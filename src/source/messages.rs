@@ -1,4 +1,4 @@
-//! What libav says of a decoder's packets, and of what else is asked.
+//! What libav says of a decoder's packets, of a container's end, and of what else is asked.
 //!
 //! A decoder that conceals damage marks the picture, and one that gives up a packet returns an error. With several
 //! threads the mark is lost when another thread gives the picture out (H.264 with B pictures, FFmpeg 5 and 6), and an
@@ -6,7 +6,7 @@
 //! has a key, which libav hands to the thread that decodes it, and with the thread's messages back to us.
 
 use ffmpeg_the_third as av;
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, VecDeque};
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -23,6 +23,8 @@ pub(super) enum Said {
 
 /// What a message of concealed damage begins with.
 const CONCEALING: &[u8] = b"concealing ";
+/// What a message of a Matroska container begins with that ends where it declares more. libav reports a normal end.
+const CUT_OFF: &[u8] = b"File ended prematurely";
 /// Packets remembered: more than there can be threads.
 const REMEMBERED: usize = 256;
 
@@ -37,6 +39,8 @@ static HEARD: Mutex<BTreeMap<usize, Said>> = Mutex::new(BTreeMap::new());
 thread_local! {
     /// What is logged on this thread, as long as [`logged`] listens.
     static LOGGED: RefCell<Option<Vec<String>>> = const { RefCell::new(None) };
+    /// Whether a container was said on this thread to be cut off.
+    static HEARD_OF_CUT: Cell<bool> = const { Cell::new(false) };
 }
 
 /// The lines that libav logs on this thread while something is done; they go nowhere else.
@@ -44,6 +48,13 @@ pub(super) fn logged(done: impl FnOnce()) -> Vec<String> {
     LOGGED.set(Some(Vec::new()));
     done();
     LOGGED.take().unwrap_or_default()
+}
+
+/// What is read from a container, and whether libav says meanwhile that it is cut off.
+pub(super) fn hearing_of_a_cut<T>(read: impl FnOnce() -> T) -> (T, bool) {
+    HEARD_OF_CUT.set(false);
+    let read = read();
+    (read, HEARD_OF_CUT.get())
 }
 
 /// Keys of a decoder's latest packets, and their numbers.
@@ -123,7 +134,11 @@ unsafe extern "C" fn hear(context: *mut c_void, level: c_int, format: *const c_c
             LOGGED.with_borrow_mut(|logged| logged.as_mut().map(|logged| logged.push(line)));
             return;
         }
-        let said = if CStr::from_ptr(format).to_bytes().starts_with(CONCEALING) {
+        let begin = CStr::from_ptr(format).to_bytes();
+        if begin.starts_with(CUT_OFF) {
+            HEARD_OF_CUT.set(true);
+        }
+        let said = if begin.starts_with(CONCEALING) {
             Some(Said::Concealed)
         } else {
             (level <= av::ffi::AV_LOG_ERROR as c_int).then_some(Said::Error)

@@ -47,7 +47,8 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
     let theta = |pick: fn(&(f64, f64)) -> f64| -> Vec<Value> {
         run.rows.iter().map(|row| row.theta.as_ref().map_or(Value::Null, |t| short(pick(t).to_degrees()))).collect()
     };
-    let alarm = |(ns, what): &(i64, String)| json!({ "t_s": (ns - first_ns) as f64 * 1e-9, "what": what });
+    let since_first_s = |ns: i64| (ns - first_ns) as f64 * 1e-9;
+    let alarm = |(ns, over_ns, what): &(i64, Option<i64>, String)| json!({ "t_s": since_first_s(*ns), "over_s": over_ns.map(since_first_s), "what": what });
     Ok(Reply::Json(json!({
         "run": asked.run,
         "recording": run.recording,

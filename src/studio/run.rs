@@ -2,7 +2,7 @@
 
 use super::Refusal;
 use crate::log::decoder::MessageDecoder;
-use crate::log::fields::{float, floats, inner, list, number, text, whole, word, xyz};
+use crate::log::fields::{float, floats, inner, list, number, optional_number, text, whole, word, xyz};
 use crate::log::records;
 use crate::log::schema::{LOG_FILE, RIG_ATTACHMENT, TABLE_FILE, Topic};
 use crate::rig::Rig;
@@ -55,8 +55,8 @@ pub(super) struct Run {
     pub(super) markers: Vec<String>,
     pub(super) views: Vec<String>,
     pub(super) rows: Vec<Row>,
-    /// Time, nanoseconds, and what is wrong since then.
-    pub(super) alarms: Vec<(i64, String)>,
+    /// From when to when, nanoseconds, and what was wrong.
+    pub(super) alarms: Vec<(i64, Option<i64>, String)>,
     /// Why not all is here.
     pub(super) cut: Option<String>,
     /// What this run lacks.
@@ -226,7 +226,9 @@ impl Run {
     }
 
     fn health(&mut self, message: &DynamicMessage) {
-        let alarm = |drift: &DynamicMessage| Some((number(drift, "stamp_ns")?, text(drift, "what")?));
+        let alarm = |drift: &DynamicMessage| {
+            Some((number(drift, "stamp_ns")?, optional_number(drift, "over_ns"), text(drift, "what")?))
+        };
         // Each has all before it.
         self.alarms = list(message, "drifts").iter().filter_map(alarm).collect();
     }

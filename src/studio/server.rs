@@ -6,6 +6,7 @@ use super::desk::Desk;
 use super::guard::{Guard, Refused};
 use super::{Refusal, Reply};
 use axum::body::{Body, Bytes};
+use axum::extract::rejection::BytesRejection;
 use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::{Next, from_fn_with_state};
@@ -145,7 +146,11 @@ async fn asset(uri: Uri) -> Response {
 }
 
 /// Asks the desk, in a thread of its own: pictures are decoded there.
-async fn answer(State(shared): State<Shared>, uri: Uri, body: Bytes) -> Response {
+async fn answer(State(shared): State<Shared>, uri: Uri, body: Result<Bytes, BytesRejection>) -> Response {
+    let body = match body {
+        Ok(body) => body,
+        Err(error) => return error_response(&Refusal { status: error.status().as_u16(), words: error.body_text() }),
+    };
     let desk = Arc::clone(&shared.desk);
     let work = move || {
         let name = uri.path().strip_prefix("/api/").unwrap_or_default();

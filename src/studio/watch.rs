@@ -116,7 +116,8 @@ impl Watch {
                 "not_shown": self.latest.missed(),
                 "recording": recording,
                 "alarms": status.alarms.iter().map(|alarm| json!({
-                    "t_s": alarm.ns as f64 * 1e-9, "what": alarm.what, "advice": alarm.advice,
+                    "t_s": alarm.ns as f64 * 1e-9, "over_s": alarm.over_ns.map(|ns| ns as f64 * 1e-9),
+                    "what": alarm.what, "advice": alarm.advice,
                 })).collect::<Vec<_>>(),
             },
         }))

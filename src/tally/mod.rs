@@ -108,7 +108,9 @@ fn all_misses<'a>(
 pub struct AlarmInWords {
     /// Camera time, nanoseconds.
     pub ns: i64,
-    /// What is wrong.
+    /// When it was over; `None` while it lasts.
+    pub over_ns: Option<i64>,
+    /// What is wrong, or was.
     pub what: String,
     /// What it means and what to do.
     pub advice: &'static str,
@@ -306,6 +308,7 @@ impl Tally {
         let views: Vec<&str> = self.views.iter().map(String::as_str).collect();
         self.drift.alarms().iter().map(move |alarm| AlarmInWords {
             ns: alarm.stamp.ns,
+            over_ns: alarm.over.map(|stamp| stamp.ns),
             what: alarm.words(&views),
             advice: alarm.advice(),
         })

@@ -174,18 +174,11 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     };
     let skipped = options.skip * path.points.len();
     let means = mean(&samples);
-    let mut steps: Vec<Step> =
-        means.iter().enumerate().skip(skipped).map(|(k, mean)| step(path, pause_ns, k, mean.as_ref())).collect();
-    let pairs: Vec<(Point3<f64>, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.observed?, s.desired))).collect();
+    let counted = means.get(skipped..).unwrap_or_default();
+    let numbered = means.iter().enumerate().skip(skipped);
+    let mut steps: Vec<Step> = numbered.map(|(k, mean)| step(path, pause_ns, k, mean.as_ref())).collect();
+    let pairs = pairs(path, &steps).map_err(unusable)?;
     let left_out = steps.len() - pairs.len();
-    if 2 * pairs.len() < path.points.len() {
-        return Err(unusable(format!(
-            "{} of {} commands have a point, less than half of a period of {}",
-            pairs.len(),
-            steps.len(),
-            path.points.len()
-        )));
-    }
     all_periods_are_there(path, recording, &window)?;
     notes.extend(many_left_out(left_out, steps.len()));
 
@@ -206,12 +199,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         .and(plane)
         .and_then(|plane| Circle::through(&points.iter().map(|point| plane.flat(point)).collect::<Vec<_>>()));
     let magnitude = magnitude(path, &points, &wanted, circle.as_ref());
-    let numbered: Vec<(usize, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect();
-    // Frames that lie late in their pauses show what comes later than their middle.
-    let later: Vec<f64> = means.iter().skip(skipped).flatten().map(|mean| mean.later).collect();
-    let later = later.iter().sum::<f64>() / later.len().max(1) as f64;
-    let lag = if start_from == StartFrom::Search { None } else { lag(&path.points, &numbered) };
-    let lag = lag.map(|lag| Lag { points: lag.points + later, ..lag });
+    let lag = if start_from == StartFrom::Search { None } else { lag_of(path, &steps, counted) };
     let phase_deg = lag.map(|lag| -360.0 * lag.points / path.points.len() as f64);
 
     // 5. basis of the numbers
@@ -219,7 +207,6 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let sd_m = sd_m(&inside, marker);
     let settling = Settling::of(path, &steps, plane.as_ref(), sd_m);
     notes.extend(settling.as_ref().and_then(Settling::note));
-    let counted = means.get(skipped..).unwrap_or_default();
     let frames_per_period = period_s / interval_s;
     let periods = Periods::of(path, counted, options.skip, sd_m, frames_per_period);
     notes.extend(periods.iter().flat_map(|periods| periods.notes(seconds(pause_ns))));
@@ -227,9 +214,8 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     notes.extend(other_unit(&points, &wanted));
     notes.extend(few_frames(frames_per_period));
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
-    let from_ns = window.start_ns.saturating_add(pause_ns.saturating_mul(i64::try_from(skipped).unwrap_or(i64::MAX)));
-    let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= from_ns).count();
     let vetoed = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.status == VETOED);
+    let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= window.at_ns(skipped)).count();
     Ok(Run {
         file: recording.path.clone(),
         marker: name,
@@ -256,12 +242,38 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         settling,
         periods,
         tangent_rms_rad: tangent_rms_rad(path, recording, skipped, mean),
-        scatter_m: scatter_m(means.iter().skip(skipped).flatten()),
+        scatter_m: scatter_m(counted.iter().flatten()),
         response_sd: response_sd(sd_m, seen, magnitude.as_ref()),
         sd_m,
         notes,
         steps,
     })
+}
+
+/// An observed point and the desired one.
+type Pair = (Point3<f64>, Point3<f64>);
+
+/// Those of all commands that have a point.
+fn pairs(path: &DesiredPath, steps: &[Step]) -> Result<Vec<Pair>, String> {
+    let pairs: Vec<Pair> = steps.iter().filter_map(|step| Some((step.observed?, step.desired))).collect();
+    if 2 * pairs.len() < path.points.len() {
+        return Err(format!(
+            "{} of {} commands have a point, less than half of a period of {}",
+            pairs.len(),
+            steps.len(),
+            path.points.len()
+        ));
+    }
+    Ok(pairs)
+}
+
+/// How much later than the path the observed points are.
+fn lag_of(path: &DesiredPath, steps: &[Step], counted: &[Option<Mean>]) -> Option<Lag> {
+    let numbered: Vec<(usize, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect();
+    let lag = lag(&path.points, &numbered)?;
+    // Frames that lie late in their pauses show what comes later than their middle.
+    let later: Vec<f64> = counted.iter().flatten().map(|mean| mean.later).collect();
+    Some(Lag { points: lag.points + later.iter().sum::<f64>() / later.len().max(1) as f64, ..lag })
 }
 
 /// The marker that follows the path, and where it was seen.

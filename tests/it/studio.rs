@@ -59,6 +59,10 @@ fn hostile_requests_are_refused_and_the_page_is_served_on() {
     assert_eq!(page.status, 200);
     assert!(!String::from_utf8_lossy(&page.body).contains(&studio.key), "the key is not in the page");
 
+    // What is too large is told as all else is.
+    let large = studio.ask("state", &json!("a".repeat(1 << 19)));
+    assert!(large.status == 413 && large.json()["error"].as_str().is_some_and(|words| words.contains("limit")));
+
     // What has the key is held to the folder, too.
     let refused = |name: &str, body: Value, words: &str| {
         let answer = studio.ask(name, &body);

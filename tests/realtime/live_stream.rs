@@ -102,6 +102,10 @@ fn a_stream_joined_between_two_key_frames_begins_with_the_next() {
     std::fs::write(&joined, &whole[half..]).unwrap();
     let error = open(&joined).err().unwrap().to_string();
     assert!(error.contains("it ended before a key frame"), "{error}");
+    // Who has been told to stop does not wait for one.
+    let stop = Arc::new(AtomicBool::new(true));
+    let error = Stream::open(&format!("tcp://{}", served(&joined, 1)), HostClock::start(), stop).err().unwrap();
+    assert!(error.to_string().contains("interrupted before its first frame"), "{error}");
 }
 
 /// As senders do that say only after their first packet which time it is.

@@ -1,7 +1,7 @@
 //! Subscribers over WebSocket: late ones, some that never read, and many that come and go.
 
 use crate::support::fixture;
-use catoptra::sink::{PublishSink, Sink};
+use catoptra::sink::{CurrentSample, PublishSink, Sink};
 use catoptra::tally::Tally;
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpStream};
@@ -66,6 +66,12 @@ fn who_joins_late_gets_the_rig_and_the_last_frame_at_once() {
     assert_eq!(ids.map(|id| got[&id]), [1_000, 1_000, 1_002, 1_002, 1_002]);
     publisher.write(&fixture::complete(3, 1_003), None).unwrap();
     assert_eq!(next(&mut socket).1, 1_003);
+    // Currents too, as in the log.
+    publisher
+        .write_current(&CurrentSample { host_ns: 1_003, arrival_ns: 1_004, seq: None, current_a: vec![0.1] })
+        .unwrap();
+    subscribe(&mut socket, &[topics["/coil/current"]]);
+    while next(&mut socket) != (topics["/coil/current"], 1_004) {}
     publisher.finish(&Tally::default()).unwrap();
 }
 

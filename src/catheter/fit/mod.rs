@@ -37,6 +37,9 @@ use search::{Found, SearchError, least_determined, minimise};
 pub use still::Pause;
 use still::Still;
 
+/// σ that are larger by more than this for the noise's colour are told with that.
+const WIDENED_REPORTED: f64 = 1.2;
+
 /// A run: what was commanded and what was seen, on one clock that begins with both.
 #[derive(Debug, Clone)]
 pub struct Run {
@@ -116,6 +119,19 @@ pub struct Fit {
     pub in_motion: bool,
 }
 
+impl Fit {
+    /// That σ are much larger because residuals of successive frames are alike, if they are.
+    pub fn widening(&self) -> Option<String> {
+        (self.widened > WIDENED_REPORTED).then(|| {
+            format!(
+                "residuals of successive frames are alike (slow noise, or a model that is wrong): σ are up to {:.1} \
+                 times as large as with noise that is not",
+                self.widened
+            )
+        })
+    }
+}
+
 /// The catheter and the delay at a point of the search.
 fn with(start: &Catheter, delay_s: f64, parameters: &[Parameter], coordinates: &DVector<f64>) -> (Catheter, f64) {
     let (mut catheter, mut delay_s) = (start.clone(), delay_s);
@@ -151,14 +167,15 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
     };
     let mut catheter = catheter.clone();
     let mut open = Vec::new();
-    let mut wanted: Vec<Parameter> = options.parameters.iter().copied().filter(|p| p.is_static()).collect();
+    let (mut wanted, moving): (Vec<Parameter>, Vec<_>) = options.parameters.iter().partition(|p| p.is_static());
     if options.only_still && wanted.is_empty() {
         return Err(wrong("none of the parameters shows in a shape at rest: they need the motion too"));
     }
     let mut found = None;
     if !pauses.is_empty() && !wanted.is_empty() {
         let start = catheter.clone();
-        let result = determined(&mut wanted, if options.only_still { Some(&mut open) } else { None }, |parameters| {
+        // What shapes at rest leave open, the motion may tell.
+        let result = determined(&mut wanted, options.only_still.then_some(&mut open), |parameters| {
             let model = Still::new(&start, parameters, &pauses, noise);
             minimise(parameters, &model, start_of(&start, delay_s, parameters))
         })?;
@@ -167,6 +184,8 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
     }
     if options.only_still {
         let (start, parameters, result) = found.ok_or_else(|| wrong("no pause is long enough for a shape at rest"))?;
+        // Shapes at rest tell nothing of these.
+        open.extend(moving.into_iter().map(|parameter| Open { parameter, with: Vec::new() }));
         return Ok(result_of(&start, delay_s, &parameters, result, &[], (pauses, unsettled, noise, open, false)));
     }
     // 2. motion

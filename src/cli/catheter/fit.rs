@@ -16,8 +16,6 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 const NS_PER_S: f64 = 1e9;
-/// σ that are larger by more than this for the noise's colour are told with that.
-const WIDENED_REPORTED: f64 = 1.2;
 /// The last command is held for longer than seems meant: over so many times the longest of the others, and seconds.
 const HELD_TOO_LONG: (f64, f64) = (5.0, 1.0);
 const FILES: [&str; 3] = ["catheter.toml", "fit.csv", "fit.html"];
@@ -87,7 +85,8 @@ impl FitArgs {
         let stated_noise = fitted.iter().find_map(|(_, stated_noise)| *stated_noise);
         let runs: Vec<Run> = fitted.into_iter().map(|(run, _)| run).collect();
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
-        let parameters = if self.parameters.is_empty() { Parameter::DEFAULT.to_vec() } else { self.parameters.clone() };
+        let default = || Parameter::DEFAULT.into_iter().filter(|p| p.is_static() || !self.only_still).collect();
+        let parameters = if self.parameters.is_empty() { default() } else { self.parameters.clone() };
         let options =
             FitOptions { parameters, settle_s: self.settle, only_still: self.only_still, accuracy, stated_noise };
         let result = fit(&catheter, 0.0, &runs, &options).map_err(unusable)?;
@@ -211,13 +210,8 @@ impl FitArgs {
             noise.point_m * 1e3,
             noise.angle_rad.to_degrees()
         );
-        if fit.widened > WIDENED_REPORTED {
-            let _ = writeln!(
-                text,
-                "  those of successive frames are alike (slow noise, or a model that is wrong): σ are up to {:.1} \
-                 times as large as with noise that is not",
-                fit.widened
-            );
+        if let Some(widening) = fit.widening() {
+            let _ = writeln!(text, "  {widening}");
         }
         if fit.unsettled > 0 {
             let _ = writeln!(text, "  {} pauses had not come to rest: lengthen --settle", fit.unsettled);

@@ -20,6 +20,7 @@ pub(super) struct StatusLine {
     line: Line,
     began: (Instant, u64),
     warned_alarms: usize,
+    told_over: usize,
     warned_short: usize,
     warned_skipped: bool,
     warned_silent: bool,
@@ -36,6 +37,7 @@ impl StatusLine {
             line: Line::new(quiet),
             began,
             warned_alarms: 0,
+            told_over: 0,
             warned_short: 0,
             warned_skipped: false,
             warned_silent: false,
@@ -48,6 +50,11 @@ impl StatusLine {
         let source = &self.source;
         status.alarms.iter().skip(self.warned_alarms).for_each(|alarm| warn_of_alarm(alarm, source));
         self.warned_alarms = status.alarms.len();
+        let over = status.alarms.iter().filter(|alarm| alarm.over_ns.is_some()).count();
+        if over > self.told_over {
+            tracing::info!("{source}: the rig is as calibrated again: a drift alarm is over");
+        }
+        self.told_over = over;
         if status.skipped > 0 && !self.warned_skipped {
             self.warned_skipped = true;
             tracing::warn!("{source}: the tracker does not keep up: frames are skipped, each still has its row");
@@ -92,7 +99,7 @@ impl StatusLine {
             self.warned_pictures = true;
             tracing::warn!("{}: not all pictures can be recorded; every row is logged", self.source);
         }
-        if !status.alarms.is_empty() {
+        if status.alarms.iter().any(|alarm| alarm.over_ns.is_none()) {
             text += " · DRIFT";
         }
         self.line.set(text);

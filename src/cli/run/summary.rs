@@ -19,7 +19,7 @@ pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, known: usize) -
 
 /// A warning for one alarm of `source`.
 pub(in crate::cli) fn warn_of_alarm(alarm: &AlarmInWords, source: &str) {
-    let AlarmInWords { ns, what, advice } = alarm;
+    let AlarmInWords { ns, what, advice, .. } = alarm;
     tracing::warn!("{source}: at {:.3} s: {what}: {advice}", seconds(*ns));
 }
 
@@ -75,8 +75,9 @@ pub(in crate::cli) fn summary(
             )?;
         }
     }
-    for AlarmInWords { ns, what, advice } in tally.alarms() {
-        writeln!(out, "\nfrom {:.3} s on {what}: {advice}", seconds(ns))?;
+    for AlarmInWords { ns, over_ns, what, advice } in tally.alarms() {
+        let until = over_ns.map_or("on".to_owned(), |ns| format!("to {:.3} s", seconds(ns)));
+        writeln!(out, "\nfrom {:.3} s {until} {what}: {advice}", seconds(ns))?;
     }
     let took_s = run.elapsed.as_secs_f64();
     writeln!(out, "\ntracked in {took_s:.1} s, {:.0} frames per second", tally.frames as f64 / took_s.max(1e-9))?;

@@ -259,7 +259,7 @@ pub(crate) struct Health {
     pub pictures_dropped: Option<u64>,
 }
 
-/// Drift has begun: mirror, camera, tank or clamp have moved since the calibration.
+/// Drift has begun, and may be over since: mirror, camera, tank or clamp have moved since the calibration.
 #[derive(Debug, Clone, PartialEq, Encode)]
 pub(crate) struct DriftAlarm {
     /// Number of the frame at which it was noticed.
@@ -283,6 +283,8 @@ pub(crate) struct DriftAlarm {
     pub size_m: f64,
     /// Standard deviation of the base band's distance, metres. For `base_moved` only.
     pub sd_m: Option<f64>,
+    /// Camera time of the frame at which it was over, nanoseconds; absent while it lasts.
+    pub over_ns: Option<i64>,
 }
 
 /// How often one quantity was missed for one reason.

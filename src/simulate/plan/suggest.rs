@@ -92,17 +92,16 @@ fn nearer(rig: &Rig, way: Vector3<f64>) -> Option<Rig> {
         let moved = |plane: &Plane| plane.moved(plane.normal().dot(&way));
         match surface {
             Surface::Mirror(mirror) => mirror.plane = moved(&mirror.plane),
-            Surface::Wall(wall) => {
-                wall.outer = moved(&wall.outer);
-                // The camera stays outside.
-                if wall.outer.signed_distance(&Point3::origin()) < 0.0 {
-                    return None;
-                }
-            }
+            Surface::Wall(wall) => wall.outer = moved(&wall.outer),
         }
     }
     refit(&mut other);
-    Some(other)
+    // The camera stays outside of the walls that it looks through directly.
+    let outside = |surface: Option<&Surface>| match surface {
+        Some(Surface::Wall(wall)) => wall.outer.signed_distance(&Point3::origin()) >= 0.0,
+        _ => true,
+    };
+    other.views.iter().all(|view| outside(view.optics.surfaces.first())).then_some(other)
 }
 
 /// A mirror turned about the vertical through where it shows the catheter.
@@ -140,5 +139,22 @@ impl Other {
             information += seen.d_pixel.transpose() * seen.d_pixel;
         }
         Some(information.try_inverse()?.trace().sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A tank before the camera reaches across the optical axis: its side wall has the camera on the inner side.
+    #[test]
+    fn the_camera_may_come_nearer_to_any_wall_but_that_before_it() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/calibration/dev_tank/rig.toml");
+        let mut rig = Rig::load(path.as_ref()).unwrap();
+        let Some(Surface::Wall(side)) = rig.surfaces.get_mut("side_wall") else { panic!("no side wall") };
+        side.outer = side.outer.moved(0.1);
+        assert!(side.outer.signed_distance(&Point3::origin()) < 0.0);
+        assert!(nearer(&rig, Vector3::new(0.0, 0.0, -0.3)).is_some());
+        assert!(nearer(&rig, Vector3::new(0.0, 0.0, -1.4)).is_none());
     }
 }

@@ -97,6 +97,7 @@ impl Names {
             sd_px,
             size_m: alarm.size_m,
             sd_m,
+            over_ns: alarm.over.map(|stamp| stamp.ns),
         }
     }
 

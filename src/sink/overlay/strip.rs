@@ -46,6 +46,10 @@ impl History {
         if let Some((theta, sd)) = theta_deg {
             self.largest_deg = self.largest_deg.max(theta.abs() + sd);
         }
+        // What comes after a clock that restarted has nothing before it.
+        if self.moments.back().is_some_and(|last| t_s < last.t_s) {
+            self.moments.clear();
+        }
         let missed = estimate.deflection.is_err() || estimate.markers.iter().any(|m| m.position.is_err());
         self.moments.push_back(Moment { t_s, theta_deg, gap: estimate.gap, missed });
         // One older moment is kept, so that the line enters from the left edge.
@@ -187,4 +191,20 @@ fn unbroken(history: &History) -> Vec<Vec<(f64, f64, f64)>> {
     }
     pieces.retain(|p| !p.is_empty());
     pieces
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::fixture;
+
+    #[test]
+    fn a_clock_that_restarts_begins_the_graph_anew() {
+        let mut history = History::default();
+        for t_s in [1000.0, 1000.1].into_iter().chain((0..100).map(|k| 0.1 * f64::from(k))) {
+            history.push(t_s, &fixture::complete(0, 0));
+        }
+        let times: Vec<f64> = history.moments.iter().map(|moment| moment.t_s).collect();
+        assert!(times.len() < 60 && times.iter().all(|t_s| *t_s < 10.0), "{times:?}");
+    }
 }

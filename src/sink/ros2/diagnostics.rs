@@ -47,12 +47,14 @@ pub(super) fn status(health: &Health, markers: &[String]) -> Vec<DiagnosticStatu
     for alarm in &health.drifts {
         values.push(value(&format!("{} since_ns", alarm.kind), alarm.stamp_ns));
         values.push(value(&format!("{} size_m", alarm.kind), alarm.size_m));
+        values.extend(alarm.over_ns.map(|ns| value(&format!("{} over_ns", alarm.kind), ns)));
     }
-    let message = match health.drifts.last() {
-        Some(alarm) => alarm.what.clone(),
-        None => "as calibrated".to_owned(),
+    let (level, message) = match (health.drifts.iter().rfind(|alarm| alarm.over_ns.is_none()), health.drifts.len()) {
+        (Some(alarm), _) => (ERROR, alarm.what.clone()),
+        (None, 0) => (OK, "as calibrated".to_owned()),
+        (None, n) => (OK, format!("as calibrated again, after {}", plural(n as u64, "drift alarm"))),
     };
-    all.push(one("drift", if health.drifts.is_empty() { OK } else { ERROR }, message, values));
+    all.push(one("drift", level, message, values));
     all
 }
 
@@ -67,7 +69,7 @@ fn value(key: &str, value: impl ToString) -> KeyValue {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::schema::messages::MissCount;
+    use crate::log::schema::messages::{DriftAlarm, MissCount};
 
     #[test]
     fn a_rig_without_a_base_frame_misses_no_deflection() {
@@ -82,5 +84,30 @@ mod tests {
         assert_eq!(deflection(vec![miss("no_base_frame", 100)]), (OK, "the rig has no base frame".to_owned()));
         let both = vec![miss("no_base_frame", 90), miss("marker_missing", 10)];
         assert_eq!(deflection(both), (WARN, "not measured in 10 of 100 frames".to_owned()));
+    }
+
+    #[test]
+    fn drift_is_an_error_until_it_is_over() {
+        let alarm = |kind: &str, over_ns| DriftAlarm {
+            seq: 0,
+            stamp_ns: 1,
+            kind: kind.to_owned(),
+            what: kind.to_owned(),
+            view: String::new(),
+            size_px: None,
+            sd_px: None,
+            size_m: 1e-3,
+            sd_m: None,
+            over_ns,
+        };
+        let drift = |drifts| {
+            let found = status(&Health { drifts, ..Health::default() }, &[]).pop().unwrap();
+            (found.level, found.message, found.values.last().map(|v| format!("{} {}", v.key, v.value)))
+        };
+        let both = drift(vec![alarm("views_disagree", None), alarm("base_moved", Some(9))]);
+        assert_eq!((both.0, both.1.as_str()), (ERROR, "views_disagree"));
+        let (level, message, last) = drift(vec![alarm("base_moved", Some(9))]);
+        assert_eq!((level, message.as_str()), (OK, "as calibrated again, after 1 drift alarm"));
+        assert_eq!(last.as_deref(), Some("base_moved over_ns 9"));
     }
 }

@@ -38,11 +38,12 @@ impl Stream {
     /// # Errors
     /// When nobody answers, or the stream has no video.
     pub fn open(url: &str, clock: HostClock, stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
-        let mut input = VideoFile::stream(url)?;
+        let mut input = VideoFile::stream(url, &stop)?;
         let mut first = None;
         if input.size_px() == [0, 0] {
             let unknown = |reason: String| SourceError::Stream { url: url.to_owned(), reason };
             let frame = input.next_frame().map_err(|error| match error {
+                _ if stop.load(Ordering::Relaxed) => unknown("interrupted before its first frame".to_owned()),
                 SourceError::Truncated { why, .. } => unknown(why),
                 SourceError::NoFrames { .. } => unknown("it ended before a key frame".to_owned()),
                 other => other,
@@ -69,7 +70,7 @@ impl FrameSource for Stream {
         let comes_back = self.url != "-";
         while !self.stop.load(Ordering::Relaxed) {
             let Some(next) = self.next() else {
-                self.input = until_back(&self.url, "stream", &self.stop, || VideoFile::stream(&self.url));
+                self.input = until_back(&self.url, "stream", &self.stop, || VideoFile::stream(&self.url, &self.stop));
                 continue;
             };
             let reason = match next {
@@ -80,6 +81,7 @@ impl FrameSource for Stream {
                     self.seq += 1;
                     return Ok(Some(frame));
                 }
+                _ if self.stop.load(Ordering::Relaxed) => return Ok(None),
                 Ok(None) if !comes_back => return Ok(None),
                 Err(error) if !comes_back => return Err(error),
                 Ok(None) => "it has ended".to_owned(),
@@ -106,5 +108,28 @@ impl FrameSource for Stream {
             all.add(input.faults());
         }
         all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Streams are not measured beforehand, as files are.
+    #[test]
+    fn a_matroska_stream_that_is_cut_off_does_not_end_well() {
+        let whole = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/sample_frames/rest.mkv")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("stream.mkv");
+        let end = |bytes: usize| {
+            std::fs::write(&path, &whole[..bytes]).unwrap();
+            let mut stream = VideoFile::stream(path.to_str().unwrap(), &Arc::default()).unwrap();
+            std::iter::from_fn(|| stream.next_frame().transpose()).find_map(Result::err)
+        };
+        assert!(end(whole.len()).is_none());
+        for bytes in [whole.len() / 2, whole.len() * 3 / 4] {
+            let error = end(bytes).unwrap();
+            assert!(matches!(&error, SourceError::Truncated { why, .. } if why.contains("in the middle")), "{error}");
+        }
     }
 }

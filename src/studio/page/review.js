@@ -76,7 +76,8 @@ export class Review {
     Object.assign(this.shared, { from: t[0] ?? 0, to: last > (t[0] ?? 0) ? last : 1, whole: [t[0] ?? 0, last], cursor: 0 });
     this.slider.max = Math.max(0, t.length - 1);
     fill(this.drift, ...(this.run.alarms.length
-      ? this.run.alarms.map((alarm) => el("p", { class: "alarm" }, `from ${alarm.t_s.toFixed(2)} s on: ${alarm.what}`))
+      ? this.run.alarms.map(({ t_s: from, over_s: over, what }) => el("p", { class: "alarm" },
+        `from ${from.toFixed(2)} s ${over === null ? "on" : `to ${over.toFixed(2)} s`}: ${what}`))
       : [el("p", {}, this.run.note ?? "None was noticed: the views agree as they did when the rig was calibrated.")]));
     this.vetoes = this.run.vetoes;
     this.plots();
@@ -101,7 +102,7 @@ export class Review {
     const marks = run.reasons.map((_, k) => ({ x: x.filter((_, i) => run.miss[i] === k), colour: css(REASONS[k % REASONS.length]), shape: "tick" }));
     marks.push({ x: x.filter((_, i) => run.gap[i] > 0), colour: css("--gap"), shape: "flag" });
     marks.push({ x: x.filter((_, i) => this.vetoes[this.seq(i)] !== undefined), colour: css("--bad"), shape: "cross" });
-    const bars = run.alarms.map((alarm) => ({ x0: alarm.t_s, x1: x.at(-1), colour: css("--bad") }));
+    const bars = run.alarms.map((alarm) => ({ x0: alarm.t_s, x1: alarm.over_s ?? x.at(-1), colour: css("--bad") }));
     this.theta.set(lines, marks, bars);
     const strokes = [[], [5, 3], [2, 3]];
     this.residual.set(run.residuals.map(({ band, view, px }) => ({

@@ -174,16 +174,19 @@ export class Watch {
     if (status.unlogged) figures.push([status.unlogged, "rows not logged"]);
     if (status.not_shown) figures.push([status.not_shown, "rows only in the log"]);
     fill(this.figures, ...figures.map(([value, name]) => el("div", {}, el("b", {}, String(value)), el("span", {}, name))));
-    const words = status.alarms.map((alarm) => `${alarm.what}\n${alarm.advice}`);
+    const words = status.alarms.filter((alarm) => alarm.over_s === null).map((alarm) => `${alarm.what}\n${alarm.advice}`);
+    const over = status.alarms.filter((alarm) => alarm.over_s !== null)
+      .map((alarm) => `over, from ${alarm.t_s.toFixed(1)} s to ${alarm.over_s.toFixed(1)} s: ${alarm.what}`);
     if (silent) words.push("no frames come\nLook at the camera, its cable or the sender of the stream; the run waits for them");
     if (status.skipped) words.push("frames are passed over: the tracker does not keep up\nEnd other programs, use a smaller picture or a lower frame rate; each frame has its row all the same");
     if (status.unlogged) words.push("rows cannot be written\nThe disk is full or too slow: free some of it, or write elsewhere with -o");
-    if (words.join() === this.said) return;
-    this.said = words.join();
+    const said = [...words, ...over].join();
+    if (said === this.said) return;
+    this.said = said;
     fill(this.alarms, ...(words.length ? words.map((word) => {
       const [what, cure] = word.split("\n");
       return el("div", { class: "alarm" }, el("b", {}, what), el("div", {}, cure));
-    }) : [el("p", { class: "good" }, "None.")]));
+    }) : [el("p", { class: "good" }, "None.")]), ...over.map((word) => el("p", { class: "quiet" }, word)));
   }
 
   paint(context, px) {

@@ -68,12 +68,14 @@ impl BaseBand {
             blocks.filter_map(|Block(weight, pull)| Some(weight.try_inverse()? * pull)).collect();
         let (away, scatter_m) = mean(&means)?;
         let along = away.try_normalize(0.0)?;
-        let (size_m, sd_m) = (away.norm(), (along.dot(&(self.systematic * along)) + scatter_m.powi(2)).sqrt());
+        let systematic_m = along.dot(&(self.systematic * along)).sqrt();
+        let (size_m, sd_m) = (away.norm(), systematic_m.hypot(scatter_m));
         Some(Finding {
             what: Drifted::Base { sd_m },
             size_m,
             raises: size_m > SIGNIFICANT_SD * sd_m && size_m > MIN_M,
-            ends: size_m <= ALARM_RELEASE * MIN_M,
+            // A badly known origin may keep a base band that is in place further off than half of the least distance.
+            ends: size_m <= ALARM_RELEASE * MIN_M.max(SIGNIFICANT_SD * systematic_m),
         })
     }
 }

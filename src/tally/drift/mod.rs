@@ -1,7 +1,8 @@
 //! [`Drift`]: is the rig still as it was calibrated? A mirror, camera or tank that has moved since shows in errors that
 //! do not average out.
 //!
-//! In: the estimates of a run, in order. Out: a [`DriftAlarm`] when drift begins. Estimates are only read.
+//! In: the estimates of a run, in order. Out: a [`DriftAlarm`] when drift begins, which is kept when it is over.
+//! Estimates are only read.
 //!
 //! Two things are watched, each over the last few seconds, in blocks of frames:
 //! - whether the views agree on where the bands are (`views`);
@@ -39,7 +40,7 @@ pub struct Drift {
     alarms: Vec<DriftAlarm>,
 }
 
-/// Drift has begun.
+/// Drift has begun, and may be over since.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriftAlarm {
     /// Number of the frame at which it was noticed.
@@ -50,6 +51,8 @@ pub struct DriftAlarm {
     pub what: Drifted,
     /// Its size in space at the bands, metres, at its largest. A lower bound when rays do not meet.
     pub size_m: f64,
+    /// Camera time of the frame at which it was over; `None` while it lasts.
+    pub over: Option<Timestamp>,
 }
 
 /// What is wrong.
@@ -162,18 +165,19 @@ impl Drift {
 
 /// Raises, keeps or ends the alarm about one thing.
 fn follow(lasting: &mut Option<usize>, alarms: &mut Vec<DriftAlarm>, found: Option<Finding>, estimate: &Estimate) {
-    let Some(Finding { what, size_m, raises, ends }) = found else {
-        *lasting = None;
-        return;
-    };
+    // What cannot be judged, as with hidden bands, neither begins nor ends.
+    let Some(Finding { what, size_m, raises, ends }) = found else { return };
     if let Some(alarm) = lasting.and_then(|index| alarms.get_mut(index)) {
         if size_m > alarm.size_m {
             (alarm.what, alarm.size_m) = (what, size_m);
         }
-        *lasting = lasting.filter(|_| !ends);
+        if ends {
+            alarm.over = Some(estimate.stamp);
+            *lasting = None;
+        }
     } else if raises {
         *lasting = Some(alarms.len());
-        alarms.push(DriftAlarm { seq: estimate.seq, stamp: estimate.stamp, what, size_m });
+        alarms.push(DriftAlarm { seq: estimate.seq, stamp: estimate.stamp, what, size_m, over: None });
     }
 }
 
