@@ -122,8 +122,8 @@ fn search_passes(width: i32, height: i32) -> Vec<SearchPass> {
     };
     let whole = Rect::new(0, 0, width, height);
     let smaller = SEEN_PX.iter().take_while(|seen| **seen < width.max(height));
-    let first = *SEEN_PX.iter().find(|seen| **seen >= width.max(height)).unwrap_or(&SEEN_PX[3]);
-    let mut search_passes: Vec<SearchPass> = smaller.chain([&first]).map(|seen| look(whole, *seen, 0)).collect();
+    let first = SEEN_PX.iter().find(|seen| **seen >= width.max(height));
+    let mut search_passes: Vec<SearchPass> = smaller.chain(first).map(|seen| look(whole, *seen, 0)).collect();
     let more = [calib3d::CALIB_CB_LARGER, 0, calib3d::CALIB_CB_ACCURACY, calib3d::CALIB_CB_EXHAUSTIVE];
     search_passes.extend(more.map(|flags| look(whole, CLOSE_PX, EQUAL | flags)));
     // Halves of width and height, overlapping by half: they contain fewer other objects.
