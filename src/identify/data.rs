@@ -18,7 +18,7 @@ pub struct Segment {
     /// input.
     pub instrument: Option<Vec<f64>>,
     /// Change of the input per change of the output's zero, as long as the input, if that zero is not known and is to
-    /// be fitted: see [`zero`](super::zero).
+    /// be fitted: see `zero`.
     pub by_zero: Option<Vec<f64>>,
     /// Number of its record among those fitted together.
     pub record: usize,

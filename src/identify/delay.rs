@@ -116,7 +116,8 @@ impl State {
 
 /// Estimates the delay within [`MAX_DELAY`] periods. `segments` gives the data for a timing of the commands: the same
 /// samples for every timing. If the commands have a clock of their own, its drift is estimated too: `own_clock` is then
-/// the middle of the record, seconds. `None` when no model fits, or the best delay is outside the range or uncertain by more.
+/// the middle of the record, seconds. `None` when no model fits, or the best delay is outside the range or uncertain by
+/// more.
 pub(crate) fn estimate(
     period_s: f64,
     own_clock: Option<f64>,

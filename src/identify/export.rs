@@ -138,6 +138,7 @@ fn settings(provenance: &Provenance) -> Value {
 
 fn records(provenance: &Provenance) -> Vec<Value> {
     let one = |record: &RecordSummary| {
+        let drift = record.delay.as_ref().and_then(|delay| delay.drift);
         json!({
             "name": record.name,
             "role": if record.training { "training" } else { "validation" },
@@ -152,8 +153,8 @@ fn records(provenance: &Provenance) -> Vec<Value> {
             "duration_s": record.duration_s,
             "delay_s": record.delay.as_ref().map(|d| d.delay_s),
             "delay_standard_error_s": record.delay.as_ref().map(|d| d.sd_s),
-            "currents_clock_ppm": record.delay.as_ref().and_then(|d| d.drift).map(|drift| -1e6 * drift.rate),
-            "currents_clock_standard_error_ppm": record.delay.as_ref().and_then(|d| d.drift).map(|drift| 1e6 * drift.sd),
+            "currents_clock_ppm": drift.map(|drift| -1e6 * drift.rate),
+            "currents_clock_standard_error_ppm": drift.map(|drift| 1e6 * drift.sd),
             "zero_rad": record.zero.map(|z| z.offset),
             "zero_standard_error_rad": record.zero.map(|z| z.sd),
         })

@@ -1,7 +1,7 @@
 //! Outputs that cannot be right: single values far from their neighbours, and a scale that ends.
 //!
-//! Least squares believes every value. One wrong cell of a table, a sentinel such as −999 or a sensor at its limit bends
-//! the whole model, and the error that remains looks like that of a poor model.
+//! Least squares believes every value. One wrong cell of a table, a sentinel such as −999 or a sensor at its limit
+//! bends the whole model, and the error that remains looks like that of a poor model.
 
 use super::data::Record;
 use super::fit::{InitialState, Kind, output};

@@ -3,8 +3,8 @@
 //! In: segments, a stable initial model. Out: the model whose simulation is nearest to the output, with covariance.
 //! This is the right model for white noise on the measured output, where ARX is biased. Derivatives are filtered
 //! signals (Ljung, 2nd ed., section 10.3): ∂ŷ/∂b_j = q^−(nk+j)/A u, ∂ŷ/∂a_i = −q^−i/A ŷ. A step to an unstable model is
-//! never taken. The initial state of a segment that does not begin at rest is also fitted, and the output's zero where it
-//! is not known.
+//! never taken. The initial state of a segment that does not begin at rest is also fitted, and the output's zero
+//! where it is not known.
 //!
 //! Finds a local minimum. Its covariance holds for white e, and for an input without noise.
 

@@ -105,7 +105,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 6, value_parser = count(0, 100_000), hide = true)]
     pub(super) bridge: usize,
     /// Zero of θ: fitted, exact
-    #[arg(long, value_name = "HOW", value_enum, default_value_t = ZeroArg::Fitted, conflicts_with = "output", hide = true)]
+    #[arg(long, value_name = "HOW", value_enum, default_value_t = ZeroArg::Fitted)]
+    #[arg(conflicts_with = "output", hide = true)]
     pub(super) zero: ZeroArg,
     /// Order, or orders to search, na = nb [default: 1:20 or less]
     #[arg(long, value_name = "N|A:B")]
