@@ -35,6 +35,7 @@ pub(super) struct CameraFile {
     pub blur_px: Option<f64>,
     pub chroma_offset_px: Option<[f64; 2]>,
     pub exposure_ms: Option<f64>,
+    pub readout_ms: Option<f64>,
     pub gamma: Option<f64>,
 }
 

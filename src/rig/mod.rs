@@ -154,6 +154,9 @@ pub struct Camera {
     pub chroma_offset_px: [f64; 2],
     /// Exposure time of a picture, seconds, once known: motion during it blurs the picture.
     pub exposure_s: Option<f64>,
+    /// Of a rolling shutter: how much later the row below the last one would be exposed than the first, seconds;
+    /// negative if the last row is exposed first. `None`: all rows are exposed at once.
+    pub readout_s: Option<f64>,
     /// Stored values are proportional to light raised to this power, once measured; where it is not known, the
     /// recording's own transfer function holds.
     pub gamma: Option<f64>,

@@ -62,6 +62,8 @@ struct Check<'a> {
 const LARGEST_CHROMA_OFFSET_PX: f64 = 2.0;
 /// Longer than any video camera exposes a picture.
 const LONGEST_EXPOSURE_MS: f64 = 1000.0;
+/// Longer than any rolling shutter needs.
+const LONGEST_READOUT_MS: f64 = 200.0;
 /// Powers of light that cameras store.
 const GAMMAS: std::ops::RangeInclusive<f64> = 0.2..=1.5;
 /// Nothing is further away: 100 m.
@@ -186,6 +188,10 @@ impl Check<'_> {
             self.within("camera.exposure_ms", &[exposure], LONGEST_EXPOSURE_MS)?;
         }
         let exposure_s = raw.exposure_ms.map(|ms| ms / 1e3);
+        if let Some(readout) = raw.readout_ms {
+            self.within("camera.readout_ms", &[readout], LONGEST_READOUT_MS)?;
+        }
+        let readout_s = raw.readout_ms.filter(|ms| *ms != 0.0).map(|ms| ms / 1e3);
         let lens = Lens {
             focal_px: Vector2::from(raw.focal_px),
             principal_point_px: Point2::from(raw.principal_point_px),
@@ -197,7 +203,7 @@ impl Check<'_> {
             return Err(self.value("camera.gamma", gamma, expected));
         }
         let size_px = [raw.width_px, raw.height_px];
-        Ok(Camera { size_px, lens, blur_px: raw.blur_px, chroma_offset_px, exposure_s, gamma: raw.gamma })
+        Ok(Camera { size_px, lens, blur_px: raw.blur_px, chroma_offset_px, exposure_s, readout_s, gamma: raw.gamma })
     }
 
     fn surface(&self, name: &str, raw: &SurfaceFile) -> Result<Surface, RigError> {

@@ -96,6 +96,9 @@ fn camera(camera: &Camera) -> String {
     if let Some(exposure_s) = camera.exposure_s {
         let _ = writeln!(text, "exposure_ms = {}", decimal(exposure_s * 1e3, 6));
     }
+    if let Some(readout_s) = camera.readout_s {
+        let _ = writeln!(text, "readout_ms = {}", decimal(readout_s * 1e3, 6));
+    }
     if let Some(gamma) = camera.gamma {
         let _ = writeln!(text, "gamma = {}", decimal(gamma, 6));
     }

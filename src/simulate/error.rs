@@ -45,6 +45,12 @@ pub enum SceneError {
         /// To the end of the last band, mm.
         bands_mm: f64,
     },
+    /// The rig's camera shows row after row.
+    #[error(
+        "the rig's camera has a rolling shutter (camera.readout_ms), and pictures are drawn at one moment: leave it \
+             out of the rig to be simulated"
+    )]
+    RollingShutter,
     /// The camera is inside of a tank.
     #[error(
         "the camera is inside of the tank: surface `{surface}` has it {inside_mm:.0} mm behind its outer face; its \

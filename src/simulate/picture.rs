@@ -57,8 +57,11 @@ impl Renderer {
     /// Prepares a scene.
     ///
     /// # Errors
-    /// [`SceneError`] when a view shows nothing.
+    /// [`SceneError`] when a view shows nothing, or the camera has a rolling shutter.
     pub fn new(rig: &Rig, scene: &Scene) -> Result<Self, SceneError> {
+        if rig.camera.readout_s.is_some() {
+            return Err(SceneError::RollingShutter);
+        }
         let size_px = rig.camera.size_px.map(|n| n as usize);
         let look = scene.look(rig)?;
         let rays: Vec<Rays> = rig.views.iter().map(|view| Rays::of(view, rig.camera.size_px)).collect();

@@ -31,6 +31,7 @@ mod pairs;
 mod patch;
 mod places;
 mod repeats;
+mod rolling;
 mod round;
 mod scatter;
 mod separation;

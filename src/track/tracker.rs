@@ -22,6 +22,7 @@ use crate::track::light::Encoding;
 use crate::track::motion::Motion;
 use crate::track::pairs::Pairs;
 use crate::track::repeats::Repeats;
+use crate::track::rolling::Rolling;
 use crate::track::scatter::Scatter;
 use crate::track::shake::Shake;
 use crate::track::trials::LONGEST_STEP_S;
@@ -102,6 +103,7 @@ pub struct Tracker {
     grain: Grain,
     fields: Fields,
     fringes: Fringes,
+    rolling: Option<Rolling>,
     /// What was warned of.
     warned: Vec<&'static str>,
     lamp: Option<Lamp>,
@@ -136,6 +138,7 @@ impl Tracker {
             grain: Grain::default(),
             fields: Fields::default(),
             fringes: Fringes::default(),
+            rolling: Rolling::of(rig),
             warned: Vec::new(),
             lamp: options.tick_led.map(Lamp::new),
             rig: rig.clone(),
@@ -207,6 +210,9 @@ impl Tracker {
         // Before σ is widened: pictures that repeat scatter.
         self.repeats.remember(picture, found.windows(), &estimate);
         self.widen(&mut estimate);
+        if let Some(rolling) = &mut self.rolling {
+            rolling.correct(&self.rig, &mut estimate);
+        }
         if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
             estimate.deflection = Ok(deflection(tangent, base));
         }

@@ -68,6 +68,7 @@ fn calibrate(folder: &Path, points: &str, more: &[&str]) -> Output {
         blur_px: None,
         chroma_offset_px: [0.0; 2],
         exposure_s: None,
+        readout_s: None,
         gamma: None,
     };
     Draft::of_camera(camera).save(&folder.join("camera.toml")).unwrap();

@@ -169,6 +169,8 @@ fn what_cannot_be_seen_is_refused_with_the_reason() {
     let printed = String::from_utf8_lossy(&run(&inside).stderr).into_owned();
     assert_eq!(run(&inside).status.code(), Some(2), "{printed}");
     assert!(printed.contains("front_wall"), "{printed}");
+    // A rolling shutter, which is not drawn.
+    refused(&run(&changed("rolling.toml", "[camera]\n", "[camera]\nreadout_ms = 15.0\n")), "has a rolling shutter");
     // No places along the tube; no base.
     let places = changed("places.toml", "centre_mm = 91.8\n", "");
     refused(&run(&places), "marker `coil` has no centre_mm");

@@ -66,6 +66,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
             blur_px: None,
             chroma_offset_px: [0.0; 2],
             exposure_s: None,
+            readout_s: None,
             gamma: None,
         }),
     };

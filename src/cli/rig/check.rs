@@ -202,6 +202,9 @@ fn camera(out: &mut String, rig: &Draft, checked: &Check) -> fmt::Result {
         Some(exposure_s) => writeln!(out, "  exposure         {:.2} ms", exposure_s * 1e3)?,
         None => writeln!(out, "  exposure         not known: motion blur is not modelled")?,
     }
+    if let Some(readout_s) = camera.readout_s {
+        writeln!(out, "  rolling shutter  {:.2} ms from the first row to the last", readout_s * 1e3)?;
+    }
     let [right, down] = camera.chroma_offset_px;
     writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px from where recordings say")
 }
