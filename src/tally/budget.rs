@@ -15,6 +15,7 @@
 use crate::calibrate::rig::share::{CatheterPose, share};
 use crate::estimate::Estimate;
 use crate::rig::{Draft, Rig};
+use crate::track::theta_derivative_by_turn;
 use nalgebra::Vector3;
 
 /// Most moments kept, spread evenly over the run.
@@ -133,8 +134,13 @@ impl BudgetData {
             let r = (base_from_camera * pose.tip).coords;
             (0..3).map(|i| axes_rad[i].powi(2) * (r.norm_squared() - r[i] * r[i])).sum::<f64>()
         };
-        let turned = self.poses.iter().map(of_turn).sum::<f64>() / self.poses.len().max(1) as f64;
-        Ok((axes_rad.y, (origin_m.norm_squared() + turned).sqrt()))
+        let count = self.poses.len().max(1) as f64;
+        let of_theta = |pose: &CatheterPose| {
+            let by_turn = theta_derivative_by_turn(&(base_from_camera * pose.tangent));
+            by_turn.transpose().component_mul(&axes_rad).norm_squared()
+        };
+        let mean = |of: &dyn Fn(&CatheterPose) -> f64| self.poses.iter().map(of).sum::<f64>() / count;
+        Ok((mean(&of_theta).sqrt(), (origin_m.norm_squared() + mean(&of_turn)).sqrt()))
     }
 
     fn of_stamps(&self, clock: &str) -> Result<(f64, f64), String> {

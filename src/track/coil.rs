@@ -5,22 +5,31 @@
 
 use crate::estimate::{Deflection, Tangent};
 use crate::rig::Base;
-use nalgebra::RowVector3;
+use nalgebra::{RowVector3, Vector3};
 
 /// Deflection of a tangent (camera frame) in the base frame.
 pub fn deflection(tangent: &Tangent, base: &Base) -> Deflection {
     let rotation = base.base_from_camera.rotation.to_rotation_matrix();
     let t = rotation * tangent.direction;
     let covariance = rotation.matrix() * tangent.covariance * rotation.matrix().transpose();
-    let in_plane = t.x * t.x + t.z * t.z;
-    // dθ = (t.z dt.x − t.x dt.z)/(t.x² + t.z²)
-    let d_theta = RowVector3::new(t.z, 0.0, -t.x) / in_plane;
+    let d_theta = theta_derivative(&t);
     Deflection {
         theta_rad: t.x.atan2(t.z),
         theta_sd_rad: sd((d_theta * covariance * d_theta.transpose())[0]),
         polar_rad: t.xy().norm().atan2(t.z),
         azimuth_rad: t.y.atan2(t.x),
     }
+}
+
+/// Derivative of θ with respect to the tangent t, base frame: dθ = (t.z dt.x − t.x dt.z)/(t.x² + t.z²).
+pub(crate) fn theta_derivative(t: &Vector3<f64>) -> RowVector3<f64> {
+    RowVector3::new(t.z, 0.0, -t.x) / (t.x * t.x + t.z * t.z)
+}
+
+/// Derivative of θ with respect to a small turn ω of the base frame, base frame: the tangent's coordinates change by
+/// −ω × t.
+pub(crate) fn theta_derivative_by_turn(t: &Vector3<f64>) -> RowVector3<f64> {
+    -t.cross(&theta_derivative(t).transpose()).transpose()
 }
 
 /// Of a variance, which rounding may have made negative. (A tangent normal to the plane has no θ, and its σ is not a
@@ -32,7 +41,7 @@ fn sd(variance: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+    use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion};
 
     fn base() -> Base {
         Base {
@@ -82,5 +91,25 @@ mod tests {
         assert!((d.theta_sd_rad - 2e-2).abs() < 1e-9);
         let unknown = Deflection { theta_sd_rad: sd(f64::NAN), ..d };
         assert!(unknown.theta_sd_rad.is_nan() && sd(-1e-30) == 0.0);
+    }
+
+    #[test]
+    fn derivatives_are_those_of_differences_in_and_out_of_the_plane() {
+        let theta = |t: &Vector3<f64>| t.x.atan2(t.z);
+        for t in [[0.5, 0.0, 0.8], [-0.3, 0.7, 0.6], [0.1, -0.9, -0.4]] {
+            let t = Vector3::from(t).normalize();
+            for axis in [Vector3::x(), Vector3::y(), Vector3::z()] {
+                let h = 1e-6;
+                let moved = (theta(&(t + axis * h)) - theta(&(t - axis * h))) / (2.0 * h);
+                assert!((moved - (theta_derivative(&t) * axis)[0]).abs() < 1e-8, "{t} {axis}");
+                // Coordinates in a frame that is turned by h about the axis.
+                let seen = |angle: f64| theta(&(Rotation3::new(axis * angle).inverse() * t));
+                let turned = (seen(h) - seen(-h)) / (2.0 * h);
+                assert!((turned - (theta_derivative_by_turn(&t) * axis)[0]).abs() < 1e-8, "{t} {axis}");
+            }
+        }
+        // In the plane, θ turns as far as the frame about its normal, and no other axis matters.
+        let of_turn = theta_derivative_by_turn(&Vector3::new(0.6, 0.0, 0.8));
+        assert!((of_turn - RowVector3::new(0.0, -1.0, 0.0)).norm() < 1e-12, "{of_turn}");
     }
 }

@@ -46,5 +46,6 @@ mod usual;
 mod view;
 
 pub use coil::deflection;
+pub(crate) use coil::{theta_derivative, theta_derivative_by_turn};
 pub(crate) use image_model::ModelError;
 pub use tracker::{TrackError, TrackOptions, Tracker};

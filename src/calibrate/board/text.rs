@@ -56,6 +56,9 @@ fn chessboard(text: &str) -> Result<Board, &'static str> {
 
 fn charuco(text: &str) -> Result<Board, &'static str> {
     let fields: Vec<&str> = text.split(':').map(str::trim).collect();
+    if !fields.first().is_some_and(|word| word.eq_ignore_ascii_case("charuco")) {
+        return Err("its first part must be the word charuco");
+    }
     let (size, square, marker, dictionary, legacy) = match fields[..] {
         [_, size, square, marker, dictionary] => (size, square, marker, dictionary, false),
         [_, size, square, marker, dictionary, "legacy"] => (size, square, marker, dictionary, true),
@@ -114,6 +117,9 @@ mod tests {
         let built = Board { square_m: 1e300, .."9x6:12mm".parse().unwrap() };
         assert_eq!(built.check().unwrap_err().to_string(), "squares of 1e300 m: expected 0.001 mm to 10 m");
         assert!(refused("9x6:12").contains("a length with its unit"), "{}", refused("9x6:12"));
+        for text in ["charucofoo:9x6:12mm:9mm:DICT_4X4_50", "charuco_legacy:9x6:12mm:9mm:DICT_4X4_50"] {
+            assert!(refused(text).contains("its first part must be the word charuco"), "{}", refused(text));
+        }
         let large = refused("charuco:9x6:12mm:13mm:DICT_4X4_50");
         assert!(large.starts_with("markers of 13 mm in squares of 12 mm: "), "{large}");
     }

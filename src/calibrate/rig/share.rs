@@ -6,9 +6,10 @@
 //! A triangulated point moves by K δp for an error δp of the geometry (`expected_error`). Tip and θ are measured in the
 //! base frame, which was found with the same geometry at rest, so common errors cancel,
 //!
-//!   δθ = (y × t)·δt − (y × z)·δz,   δtip = K(tip) − K(origin) − (z × δz) × (tip − origin),
+//!   δθ = ∂θ/∂t·δt + ∂θ/∂ω·ω,   δtip = K(tip) − K(origin) − ω × (tip − origin),   ω = z × δz,
 //!
-//! with y and z the base frame's axes and δt the difference of K at both ends of a short piece along the tangent t.
+//! with z the base frame's axis, ω its turn, and δt the difference of K at both ends of a short piece along the tangent
+//! t. (In the plane of B0, ∂θ/∂ω·ω is −x·δz.)
 //!
 //! Cannot tell: errors that no covariance covers (a moved mirror, a bent wall). Outside the boards' volume the
 //! covariance itself is less reliable.
@@ -17,6 +18,7 @@ use super::expected_error::answer;
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::median::upper_median_and_largest;
 use crate::rig::Draft;
+use crate::track::{theta_derivative, theta_derivative_by_turn};
 use nalgebra::{DMatrix, Matrix3xX, Point3, Vector3};
 
 /// Half the length over which the tangent's error is evaluated, metres.
@@ -73,14 +75,18 @@ pub(crate) fn share(rig: &Draft, poses: &[CatheterPose]) -> Result<Share, NoShar
     };
     let camera_from_base = base.base_from_camera.inverse();
     let origin = camera_from_base * Point3::origin();
-    let [y, z] = [Vector3::y(), Vector3::z()].map(|axis| camera_from_base.rotation * axis);
+    let base_from_camera = base.base_from_camera.rotation.to_rotation_matrix();
+    let z = camera_from_base.rotation * Vector3::z();
     let at_rest = || Some((moved(&origin)?, turned(&origin, &z)?));
     let (of_origin, of_z) = at_rest().ok_or(NoShare::Place)?;
     // Rotation error of the frame: z × δz.
     let of_turn = z.cross_matrix() * &of_z;
     let one = |pose: &CatheterPose| -> Option<[f64; 2]> {
         let of_t = turned(&pose.coil, &pose.tangent)?;
-        let theta = y.cross(&pose.tangent).tr_mul(&of_t) - y.cross(&z).tr_mul(&of_z);
+        let t = base_from_camera * pose.tangent;
+        let [by_tangent, by_turn] =
+            [theta_derivative(&t), theta_derivative_by_turn(&t)].map(|own| own * base_from_camera.matrix());
+        let theta = by_tangent * of_t + by_turn * &of_turn;
         let tip: Matrix3xX<f64> = moved(&pose.tip)? - &of_origin + (pose.tip - origin).cross_matrix() * &of_turn;
         let variance = |rows: &DMatrix<f64>| (rows * &covariance * rows.transpose()).trace().max(0.0).sqrt();
         let dynamic = |rows: &[f64], count: usize| DMatrix::from_column_slice(count, rows.len() / count, rows);

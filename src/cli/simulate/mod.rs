@@ -8,7 +8,7 @@ use super::progress::Progress;
 use super::results::Results;
 use super::units::{duration_or_none_s, duration_s, frequency_hz};
 use super::{Exit, Failure, interrupt, output};
-use crate::calibrate::board::Board;
+use crate::calibrate::board::{Board, Pattern};
 use crate::catheter::Catheter;
 use crate::plural::plural;
 use crate::rig::Rig;
@@ -216,6 +216,12 @@ impl Args {
         (asked, quiet): (&AtomicBool, bool),
     ) -> Result<(), Failure> {
         let board: Board = self.board.parse().map_err(|e| Failure::usage(format!("--board {}: {e}", self.board)))?;
+        if !matches!(board.kind, Pattern::Chessboard) {
+            return Err(Failure::usage(format!(
+                "--board {}: only chessboards can be drawn, such as 9x6:12mm",
+                self.board
+            )));
+        }
         let blur_px = rig.camera.blur_px.unwrap_or(0.55);
         let middle = scene.rest.at(scene.length_m / 2.0).0;
         let name = |set: &str, k: usize| format!("{set}{k:03}.png");

@@ -85,7 +85,7 @@ pub struct Planned {
     pub lossless: Result<Noise, String>,
     /// The same as a video stores it.
     pub video: Result<Noise, String>,
-    /// 1σ by the calibration: θ (radians) and tip in the base frame (metres, all axes together).
+    /// 1σ by the calibration: θ (radians) and tip in the base frame (metres, of a coordinate, as for noise).
     pub calibration: Option<(f64, f64)>,
 }
 
@@ -211,7 +211,8 @@ fn planned(
     let tangent = tangent.normalize();
     let end = line.at(mount.centres_m.last().copied().unwrap_or(mount.length_m)).0;
     let pose = CatheterPose { coil, tangent, tip: end };
-    let calibration = share(draft, &[pose]).ok().map(|share| (share.theta_rad.0, share.tip_m.0));
+    let of_coordinate = |trace_root_m: f64| trace_root_m / 3.0_f64.sqrt();
+    let calibration = share(draft, &[pose]).ok().map(|share| (share.theta_rad.0, of_coordinate(share.tip_m.0)));
     let base = rig.base.as_ref().map(|base| base.base_from_camera).ok_or(SceneError::NoBase)?;
     let t = base * tangent;
     Ok(Planned {
