@@ -203,6 +203,8 @@ pub(crate) struct Alarm {
     pub(crate) kind: String,
     /// Camera time, nanoseconds.
     pub(crate) at_ns: i64,
+    /// When it was over; `None` while it lasts, to the end of the run.
+    pub(crate) over_ns: Option<i64>,
     /// Size in space, mm.
     pub(crate) size_mm: f64,
     pub(crate) message: String,
@@ -281,12 +283,19 @@ impl Measured {
                 .map(|(alarm, words)| Alarm {
                     kind: alarm.word().to_owned(),
                     at_ns: words.ns,
+                    over_ns: words.over_ns,
                     size_mm: alarm.size_m * 1e3,
                     message: words.what,
                 })
                 .collect(),
             faults: run.source.into(),
         }
+    }
+
+    /// Drift alarms: those that lasted to the end of the run, and those that were over before.
+    pub(crate) fn alarms_lasting_and_over(&self) -> (u64, u64) {
+        let over = self.drift_alarms.iter().filter(|alarm| alarm.over_ns.is_some()).count();
+        ((self.drift_alarms.len() - over) as u64, over as u64)
     }
 
     /// Largest RMS residual of a marker in a view, pixels.

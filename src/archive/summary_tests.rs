@@ -97,7 +97,7 @@ fn the_schema_in_the_documentation_is_that_of_the_file() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/summary.schema.json");
     let schema: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let mut full = RunSummary::example();
-    let alarm = Alarm { kind: "base_moved".into(), at_ns: 3, size_mm: 1.0, message: "moved".into() };
+    let alarm = Alarm { kind: "base_moved".into(), at_ns: 3, over_ns: Some(5), size_mm: 1.0, message: "moved".into() };
     full.measured.as_mut().unwrap().drift_alarms.push(alarm);
     let failed = Failed { message: "disk full".into(), retryable: true };
     let empty = RunSummary { measured: None, failure: Some(failed), outcome: Outcome::Failed, ..full.clone() };

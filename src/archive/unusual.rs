@@ -48,8 +48,10 @@ pub(crate) fn unusual_runs(study: &Study) -> Vec<UnusualRun> {
         let Some(measured) = summary.measured.as_ref().filter(|_| summary.outcome == Outcome::Tracked) else {
             continue;
         };
+        let (lasting, over) = measured.alarms_lasting_and_over();
         let counted = [
-            (measured.drift_alarms.len() as u64, "drift alarm", ""),
+            (lasting, "drift alarm", ""),
+            (over, "drift alarm", " that ended"),
             (measured.lost, "camera frame", " lost"),
             (measured.faults.damaged_packets, "damaged packet", ""),
             (measured.faults.damaged_pictures, "damaged picture", ""),
@@ -109,12 +111,13 @@ mod tests {
     #[test]
     fn an_alarm_and_an_early_end_stand_out_alone_and_a_failed_run_does_not() {
         let mut study = study(&[0.1, 0.1, 9.0]);
-        let alarm = Alarm { kind: "base_moved".into(), at_ns: 3, size_mm: 1.0, message: "moved".into() };
-        study.runs[0].summary.measured.as_mut().unwrap().drift_alarms.push(alarm);
+        let alarm = Alarm { kind: "base_moved".into(), at_ns: 3, over_ns: None, size_mm: 1.0, message: "moved".into() };
+        let over = Alarm { over_ns: Some(5), ..alarm.clone() };
+        study.runs[0].summary.measured.as_mut().unwrap().drift_alarms.extend([alarm, over]);
         study.runs[1].summary.ends_early = Some("cut off".into());
         study.runs[2].summary.outcome = Outcome::Failed;
         study.runs[2].summary.ends_early = Some("cut off".into());
         let found: Vec<_> = unusual_runs(&study).into_iter().map(|o| (o.run, o.why.join(","))).collect();
-        assert_eq!(found, [(0, "1 drift alarm".to_owned()), (1, "ends early".to_owned())]);
+        assert_eq!(found, [(0, "1 drift alarm,1 drift alarm that ended".to_owned()), (1, "ends early".to_owned())]);
     }
 }

@@ -1,15 +1,13 @@
 //! The page of a catheter that was fitted to runs.
 
-use super::chart::{self, CURVE, PALETTE, css, rounded};
+use super::chart::{self, CURVE, PALETTE, css};
 use super::html::escape;
 use super::page::{self, card, facts_table, figure, table, trouble};
+use super::timeline::Timeline;
 use crate::catheter::{Check, Fit, Run};
 use plotly::common::{Line, Marker, Mode};
 use plotly::layout::HoverMode;
 use plotly::{Plot, Scatter};
-
-/// Most points of a curve.
-const MAX_POINTS: usize = 3000;
 
 /// The page. For each run: the observation, the fitted catheter's result, and whether it was used in the fit.
 pub(crate) fn page(fit: &Fit, runs: &[(&Run, &Check, bool)], settings: &[(String, String)]) -> String {
@@ -31,7 +29,8 @@ pub(crate) fn page(fit: &Fit, runs: &[(&Run, &Check, bool)], settings: &[(String
         .map(|e| {
             let (unit, scale) = e.parameter.unit();
             let words = e.parameter.words().trim_start_matches("the ").to_owned();
-            vec![words, format!("{:.4}", e.value * scale), format!("{:.4}", e.sd * scale), unit.to_owned()]
+            let digits = digits_of(e.sd * scale);
+            vec![words, format!("{:.digits$}", e.value * scale), format!("{:.digits$}", e.sd * scale), unit.to_owned()]
         })
         .collect();
     let open: String = fit.open.iter().map(|open| format!("<li>{}</li>\n", escape(&open.sentence()))).collect();
@@ -86,6 +85,12 @@ fn of_run(index: usize, (run, check, fitted): &(&Run, &Check, bool)) -> String {
     )
 }
 
+/// Digits after the point that show three digits of σ, and no fewer than four.
+fn digits_of(sd: f64) -> usize {
+    let digits = 2.0 - sd.abs().log10().floor();
+    if digits.is_finite() { digits.clamp(4.0, 12.0) as usize } else { 4 }
+}
+
 fn plot(title: &str) -> Plot {
     let layout = chart::layout()
         .x_axis(chart::value_axis("Time (s)"))
@@ -94,39 +99,45 @@ fn plot(title: &str) -> Plot {
     chart::plot(layout)
 }
 
-/// Stride of frames, so that a curve stays within the most points.
-fn stride(run: &Run) -> usize {
-    run.sightings.len().div_ceil(MAX_POINTS).max(1)
+/// What was seen and what the model says, over time: θ of both, degrees, then the tip's differences, mm.
+fn timeline(run: &Run, check: &Check) -> Timeline {
+    let mut line = Timeline::default();
+    for (seen, model) in run.sightings.iter().zip(&check.moments) {
+        let theta = seen.tangent.map(|t| t.x.atan2(t.z).to_degrees());
+        let off = |axis: usize| seen.tip.map(|tip| (tip - model.tip)[axis] * 1e3);
+        let values = [theta, Some(model.theta_rad().to_degrees()), off(0), off(1), off(2)];
+        line.push(seen.time_s, 0, &values, &[]);
+    }
+    line
+}
+
+/// A curve of [`timeline`].
+fn points(line: &Timeline, channel: usize) -> chart::Points {
+    let values = line.bins().iter().map(|bin| bin.channels.get(channel).copied().flatten());
+    chart::curve(line.bins(), values, 4)
 }
 
 fn theta(run: &Run, check: &Check) -> Plot {
     let mut plot = plot("θ (°)");
-    let both = || run.sightings.iter().zip(&check.moments).step_by(stride(run));
-    let time = || both().map(|(s, _)| rounded(s.time_s, 4)).collect::<Vec<_>>();
-    let seen = both().map(|(s, _)| s.tangent.and_then(|t| rounded(t.x.atan2(t.z).to_degrees(), 4)));
-    let modelled = both().map(|(_, m)| rounded(m.theta_rad().to_degrees(), 4));
+    let line = timeline(run, check);
+    let ((seen_s, seen), (model_s, model)) = (points(&line, 0), points(&line, 1));
     plot.add_trace(
-        Scatter::new(time(), seen.collect::<Vec<_>>())
+        Scatter::new(seen_s, seen)
             .name("seen")
             .mode(Mode::Markers)
             .marker(Marker::new().size(3).color(css(PALETTE.marker(1)))),
     );
     plot.add_trace(
-        Scatter::new(time(), modelled.collect::<Vec<_>>())
-            .name("model")
-            .mode(Mode::Lines)
-            .line(Line::new().width(1.4).color(css(CURVE))),
+        Scatter::new(model_s, model).name("model").mode(Mode::Lines).line(Line::new().width(1.4).color(css(CURVE))),
     );
     plot
 }
 
 fn residuals(run: &Run, check: &Check) -> Plot {
     let mut plot = plot("Tip, seen − model (mm)");
+    let line = timeline(run, check);
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-        let both = run.sightings.iter().zip(&check.moments).step_by(stride(run));
-        let (time, off): (Vec<_>, Vec<_>) = both
-            .map(|(s, m)| (rounded(s.time_s, 4), s.tip.and_then(|tip| rounded((tip - m.tip)[axis] * 1e3, 4))))
-            .unzip();
+        let (time, off) = points(&line, axis + 2);
         let marker = Marker::new().size(3).color(css(PALETTE.marker(axis)));
         plot.add_trace(Scatter::new(time, off).name(name).mode(Mode::Markers).marker(marker));
     }
@@ -156,5 +167,10 @@ mod tests {
         };
         let told = |widened| page(&fit(widened), &[], &[]).contains("σ are up to 2.5 times as large");
         assert!(told(2.5) && !told(1.0));
+    }
+
+    #[test]
+    fn small_values_keep_digits_of_their_sigma() {
+        assert_eq!([0.0, 1.0, 3.4e-4, 2e-7, f64::NAN].map(digits_of), [4, 4, 6, 9, 4]);
     }
 }

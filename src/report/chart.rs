@@ -1,5 +1,6 @@
 //! The look of all plots: one typeface, unobtrusive grids, colours by meaning; and curves from the bins of a timeline.
 
+use super::html::escape;
 use super::timeline::{Bin, Extremes};
 use crate::sink::{Palette, Rgb};
 use plotly::common::{Anchor, Font, Line, Mode, Orientation, Title};
@@ -30,9 +31,21 @@ pub(super) fn css_faint([r, g, b]: Rgb, opacity: f64) -> String {
     format!("rgba({r},{g},{b},{opacity})")
 }
 
-/// Rounds to visible digits: the page has tens of thousands of numbers. NaN and infinity become `None`.
+/// Colour of a view on every page. Leaves out the markers' blue, which is like that of the first view.
+pub(super) fn view_colour(view: usize) -> Rgb {
+    match view {
+        0 => CURVE,
+        1 | 2 => PALETTE.marker(view - 1),
+        _ => PALETTE.marker(view),
+    }
+}
+
+/// Rounds to this many digits after the point, and no fewer than four digits in all: the page has tens of thousands of
+/// numbers. NaN and infinity become `None`.
 pub(super) fn rounded(value: f64, digits: i32) -> Option<f64> {
-    let scale = 10_f64.powi(digits);
+    let leading = value.abs().log10().floor();
+    let digits = if leading.is_finite() { digits.max(3 - leading as i32) } else { digits };
+    let scale = 10_f64.powi(digits.min(300));
     let rounded = (value * scale).round() / scale;
     rounded.is_finite().then_some(rounded)
 }
@@ -109,7 +122,7 @@ pub(super) fn line(
 ) -> Box<Scatter<Option<f64>, Option<f64>>> {
     let mode = if points.0.len() <= DOTTED_UP_TO { Mode::LinesMarkers } else { Mode::Lines };
     Scatter::new(points.0, points.1)
-        .name(name)
+        .name(escape(name))
         .mode(mode)
         .line(Line::new().color(css(colour)).width(width))
         .marker(plotly::common::Marker::new().color(css(colour)).size(4))
@@ -138,7 +151,7 @@ pub(super) fn half_interval_s(bins: &[Bin]) -> f64 {
 /// A value axis with its unit in the title.
 pub(super) fn value_axis(title: &str) -> Axis {
     Axis::new()
-        .title(Title::with_text(title).font(font(13, QUIET)))
+        .title(Title::with_text(escape(title)).font(font(13, QUIET)))
         .tick_font(font(12, QUIET))
         .grid_color(GRID)
         .zero_line_color("#b6bbc2")
@@ -245,6 +258,28 @@ mod tests {
 
     #[test]
     fn what_is_no_number_is_never_written() {
-        assert_eq!([rounded(f64::NAN, 2), rounded(f64::INFINITY, 2), rounded(1.23456, 2)], [None, None, Some(1.23)]);
+        assert_eq!([rounded(f64::NAN, 2), rounded(f64::INFINITY, 2), rounded(123.456, 2)], [None, None, Some(123.46)]);
+    }
+
+    #[test]
+    fn small_values_keep_their_digits() {
+        assert_eq!([1.234_56e-7, -0.000_345_678, 0.0].map(|v| rounded(v, 4)), [1.235e-7, -3.457e-4, 0.0].map(Some));
+    }
+
+    #[test]
+    fn views_have_different_colours() {
+        let colours: std::collections::BTreeSet<Rgb> = (0..5).map(view_colour).collect();
+        assert_eq!(colours.len(), 5);
+        assert!(!colours.contains(&PALETTE.marker(2)));
+    }
+
+    #[test]
+    fn markup_in_names_stays_text() {
+        let name = "<b>&\"tip</script>";
+        let points: Points = (vec![Some(0.0)], vec![Some(1.0)]);
+        let mut plot = plot(layout().y_axis(value_axis(name)));
+        plot.add_trace(line(points, name, CURVE, 1.0, "%{y}"));
+        let json = plot.to_json();
+        assert!(json.contains("&lt;b&gt;&amp;&quot;tip&lt;/script&gt;") && !json.contains("<b>"), "{json}");
     }
 }

@@ -141,7 +141,7 @@ fn by_marker(
     for (marker, name) in course.marker_names.iter().enumerate() {
         let points: Points = chart::curve(bins, course.extremes(channel(marker)), 4);
         let seen = if points.0.is_empty() { Visible::LegendOnly } else { Visible::True };
-        let trace = chart::line(points, &escape(name), PALETTE.marker(marker), 1.2, hover).visible(seen);
+        let trace = chart::line(points, name, PALETTE.marker(marker), 1.2, hover).visible(seen);
         plot.add_trace(if let Mode::Markers = mode { trace.mode(Mode::Markers) } else { trace });
     }
     plot

@@ -3,14 +3,12 @@
 use super::chart::{self, CURVE, PALETTE, QUIET, css, rounded};
 use super::html::escape;
 use super::page::{self, card, figure, table};
+use super::timeline::Timeline;
 use crate::identify::planes::{Motion, OUTPUTS, Planes, RecordFit, System};
 use plotly::common::{Line, Marker, Mode};
 use plotly::layout::AxisType;
 use plotly::{Plot, Scatter};
 use std::f64::consts::TAU;
-
-/// Samples drawn of a record.
-const DRAWN: usize = 4000;
 
 /// The whole page.
 pub(crate) fn page(found: &Planes, coils: &[String], records: &[&Motion]) -> String {
@@ -71,18 +69,22 @@ fn course(record: &Motion, own: &RecordFit, output: usize) -> Plot {
     let name = if output == 0 { "angle in the plane of B0 (°)" } else { "angle across it (°)" };
     let layout = chart::layout().x_axis(chart::value_axis("time (s)")).y_axis(chart::value_axis(name));
     let mut plot = chart::plot(layout);
-    let step = record.output.nrows().div_ceil(DRAWN).max(1);
-    let places = || (0..record.output.nrows()).step_by(step);
-    let time: Vec<_> = places().map(|k| rounded(record.start_s + k as f64 * record.period_s, 4)).collect();
-    let of = |matrix: &nalgebra::DMatrix<f64>| -> Vec<_> {
-        places().map(|k| rounded(matrix[(k, output)].to_degrees(), 4)).collect()
-    };
-    let curve = |values, name: &str, line: Line| {
-        Scatter::new(time.clone(), values).name(name).mode(Mode::Lines).line(line).connect_gaps(false)
-    };
-    plot.add_trace(curve(of(&record.output), "measured", Line::new().color(QUIET).width(1.0)));
-    plot.add_trace(curve(of(&own.full_rad), "full", Line::new().color(css(PALETTE.gap)).width(1.0)));
-    plot.add_trace(curve(of(&own.reduced_rad), "reduced", Line::new().color(css(CURVE)).width(1.6)));
+    let matrices = [&record.output, &own.full_rad, &own.reduced_rad];
+    let mut line = Timeline::default();
+    for k in 0..record.output.nrows() {
+        let values = matrices.map(|matrix| matrix.get((k, output)).map(|rad| rad.to_degrees()));
+        line.push(record.start_s + k as f64 * record.period_s, 0, &values, &[]);
+    }
+    let styles = [
+        ("measured", Line::new().color(QUIET).width(1.0)),
+        ("full", Line::new().color(css(PALETTE.gap)).width(1.0)),
+        ("reduced", Line::new().color(css(CURVE)).width(1.6)),
+    ];
+    for (channel, (name, style)) in styles.into_iter().enumerate() {
+        let values = line.bins().iter().map(|bin| bin.channels.get(channel).copied().flatten());
+        let (time, values) = chart::curve(line.bins(), values, 4);
+        plot.add_trace(Scatter::new(time, values).name(name).mode(Mode::Lines).line(style).connect_gaps(false));
+    }
     plot
 }
 

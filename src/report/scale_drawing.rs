@@ -1,6 +1,6 @@
 //! A set-up drawn to scale, seen along an axis of the camera frame.
 
-use super::chart::{self, CURVE, INK, PALETTE, css, css_faint, rounded};
+use super::chart::{self, INK, PALETTE, css, css_faint, rounded};
 use super::html::escape;
 use crate::optics::{OpticalPath, Ray, Surface};
 use nalgebra::{Point2, Point3};
@@ -76,7 +76,7 @@ impl ScaleDrawing {
         let (x, y) = split(&flat);
         self.plot.add_trace(
             Scatter::new(x, y)
-                .name(name)
+                .name(escape(name))
                 .mode(Mode::Lines)
                 .line(Line::new().color(colour).width(width))
                 .connect_gaps(false)
@@ -86,8 +86,7 @@ impl ScaleDrawing {
 
     /// The light of a view.
     pub(super) fn light(&mut self, view: usize, name: &str, points: &[Option<Point3<f64>>]) {
-        let colour = if view == 0 { CURVE } else { PALETTE.marker(view) };
-        self.lines(&format!("light, {}", escape(name)), points, css_faint(colour, 0.45), 1.0);
+        self.lines(&format!("light, {name}"), points, css_faint(chart::view_colour(view), 0.45), 1.0);
     }
 
     /// A surface, as far as light meets it, and what is said of it beside its name.

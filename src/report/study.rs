@@ -35,7 +35,7 @@ pub(crate) fn page(
     let (frames, answered) =
         measured().fold((0, 0), |(frames, answered), m| (frames + m.frames, answered + m.theta.answered));
     let hours = measured().map(|m| m.duration_s).sum::<f64>() / 3600.0;
-    let alarms: usize = measured().map(|m| m.drift_alarms.len()).sum();
+    let (lasting, over) = alarms(measured());
     let share = if frames > 0 { 100.0 * answered as f64 / frames as f64 } else { 0.0 };
     let mut body = format!("<header>\n<p class=\"kind\">Catoptra study</p>\n<h1>{}</h1>\n</header>\n", escape(title));
     let bad = unusable + failed;
@@ -44,7 +44,12 @@ pub(crate) fn page(
         card("Without results", bad.to_string(), format!("{failed} failed, {unusable} unusable"), bad > 0),
         card("Frames", frames.to_string(), format!("{hours:.2} hours of recording"), false),
         card("θ known", format!("{share:.2} %"), "of all frames", false),
-        card("Drift alarms", alarms.to_string(), "the rig is not as calibrated", alarms > 0),
+        card(
+            "Drift alarms",
+            (lasting + over).to_string(),
+            if over > 0 { format!("{over} of them ended") } else { "the rig is not as calibrated".to_owned() },
+            lasting + over > 0,
+        ),
         card("Stand out", unusual.len().to_string(), plural(unusual.len(), "run"), !unusual.is_empty()),
     ];
     body += &format!("<dl class=\"key\">\n{}</dl>\n", cards.concat());
@@ -62,6 +67,11 @@ pub(crate) fn page(
     body += &format!("<h2>What was made</h2>\n{}", facts_table(settings));
     body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
     page::page(title, &body)
+}
+
+/// Drift alarms of runs: those that lasted, and those that ended.
+fn alarms<'a>(measured: impl Iterator<Item = &'a Measured>) -> (u64, u64) {
+    measured.map(Measured::alarms_lasting_and_over).fold((0, 0), |sum, own| (sum.0 + own.0, sum.1 + own.1))
 }
 
 /// Why runs have no results.
@@ -146,7 +156,7 @@ fn group(name: &str, study: &Study, standing: &BTreeSet<usize>, of: &dyn Fn(&Run
         let end = |pick: fn(f64, f64) -> f64, get: fn(&Measured) -> Option<f64>| {
             measured().filter_map(get).reduce(pick).map_or("–".to_owned(), |v| format!("{v:.1}°"))
         };
-        let alarms: usize = measured().map(|m| m.drift_alarms.len()).sum();
+        let (lasting, over) = alarms(measured());
         let failed = runs.iter().filter(|(_, run)| run.summary.outcome != Outcome::Tracked).count();
         let out = runs.iter().filter(|(at, _)| standing.contains(at)).count();
         vec![
@@ -157,7 +167,7 @@ fn group(name: &str, study: &Study, standing: &BTreeSet<usize>, of: &dyn Fn(&Run
             middle(&|m| m.theta.sd_deg, 3).into(),
             middle(&missed_percent, 2).into(),
             middle(&Measured::largest_rms_px, 3).into(),
-            alarms.to_string().into(),
+            if over > 0 { format!("{} ({over} ended)", lasting + over) } else { lasting.to_string() }.into(),
             format!("{} to {}", end(f64::min, |m| m.theta.min_deg), end(f64::max, |m| m.theta.max_deg)).into(),
         ]
     };

@@ -64,12 +64,15 @@ fn header(info: &RunInfo, tally: &Tally) -> String {
             _ => String::new(),
         };
         let mut moved = String::new();
-        let alarmed = |base: bool| tally.drift.alarms().iter().any(|a| matches!(a.what, Drifted::Base { .. }) == base);
-        if alarmed(false) {
-            moved += " <strong>The views do not fit together: see Residuals.</strong>";
-        }
-        if alarmed(true) {
-            moved += " <strong>The base band is not where it was: see Residuals.</strong>";
+        for (base, now, before) in [
+            (false, "The views do not fit together", "The views did not fit together for some time"),
+            (true, "The base band is not where it was", "The base band was not where it was for some time"),
+        ] {
+            let alarms = tally.drift.alarms().iter().filter(|a| matches!(a.what, Drifted::Base { .. }) == base);
+            let words = alarms.map(|alarm| if alarm.over.is_none() { now } else { before });
+            if let Some(words) = words.last() {
+                moved += &format!(" <strong>{words}: see Residuals.</strong>");
+            }
         }
         format!("{answered}; {lost}.{angle}{moved}")
     };

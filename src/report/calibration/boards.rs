@@ -1,6 +1,6 @@
 //! Pictures of the board with the corners that were found and where the rig puts them.
 
-use super::super::chart::{PALETTE, css};
+use super::super::chart::{css, view_colour};
 use super::super::html::escape;
 use super::super::page::trouble;
 use super::figures;
@@ -47,9 +47,7 @@ pub(super) fn section(done: &RigCalibration, pictures: &[(String, Result<Grey, S
         })
         .collect();
     let keys: Vec<String> = (done.solution.geometry.views.iter().enumerate())
-        .map(|(view, (name, _))| {
-            format!("<span style=\"color:{}\">●</span> {}", css(PALETTE.marker(view)), escape(name))
-        })
+        .map(|(view, (name, _))| format!("<span style=\"color:{}\">●</span> {}", css(view_colour(view)), escape(name)))
         .collect();
     format!(
         "<h2>The boards as they were found</h2>\n\
@@ -75,7 +73,7 @@ fn drawn(done: &RigCalibration, at: usize, grey: &Grey, times: f64) -> Result<St
             marks,
             "<g stroke=\"{}\"><circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{radius:.1}\"/><path d=\"M{:.1} {:.1}L{:.1} \
              {:.1}\"/></g>",
-            css(PALETTE.marker(corner.view)),
+            css(view_colour(corner.view)),
             from.x,
             from.y,
             from.x,

@@ -213,7 +213,7 @@ pub(super) fn by_picture(done: &RigCalibration, views: &[(String, Vec<Arrow>)]) 
         plot.add_trace(
             Bar::new(names.clone(), (0..names.len()).map(rms).collect::<Vec<_>>())
                 .name(escape(name))
-                .marker(Marker::new().color(css(if view == 0 { CURVE } else { PALETTE.marker(view - 1) })))
+                .marker(Marker::new().color(css(chart::view_colour(view))))
                 .hover_template("%{y:.3f} px"),
         );
     }

@@ -1,6 +1,7 @@
 //! The plots of an identification.
 
 use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, css_faint, rounded};
+use super::super::html::escape;
 use super::super::timeline::Timeline;
 use crate::identify::data::Data;
 use crate::identify::data::Record;
@@ -111,7 +112,7 @@ pub(super) fn courses(data: &Data, done: &Shown<'_>, provenance: &Provenance, re
         let part = |signal: &[f64]| signal[from..to].iter().map(|v| short(*v)).collect::<Vec<_>>();
         let trace = |values, name: &str, colour, width, mode| {
             Scatter::new(times.clone(), values)
-                .name(name)
+                .name(escape(name))
                 .mode(mode)
                 .line(Line::new().color(css(colour)).width(width))
                 .marker(Marker::new().color(css(colour)).size(4))
@@ -127,13 +128,13 @@ pub(super) fn courses(data: &Data, done: &Shown<'_>, provenance: &Provenance, re
 }
 
 /// A plot over frequency, with the excited band and half the sampling rate.
-fn over_frequency(data: &Data, done: &Shown<'_>, title: &str, last: bool) -> Layout {
+fn over_frequency(data: &Data, done: &Shown<'_>, title: &str) -> Layout {
     let nyquist = 0.5 / data.period_s;
     let lowest = done.models.first().and_then(|m| m.bode.first()).map_or(nyquist * 1e-3, |p| p.frequency_hz);
     let mut layout = chart::layout()
         .hover_mode(HoverMode::Closest)
         .x_axis(
-            chart::value_axis(if last { "Frequency (Hz)" } else { "" })
+            chart::value_axis("Frequency (Hz)")
                 .type_(AxisType::Log)
                 .range(vec![rounded(lowest.log10(), 3), rounded((nyquist * 1.1).log10(), 3)]),
         )
@@ -158,7 +159,7 @@ fn responses(
     dots: &[(f64, f64, f64)],
     unit: &str,
 ) -> Plot {
-    let mut plot = chart::plot(over_frequency(data, done, title, false));
+    let mut plot = chart::plot(over_frequency(data, done, title));
     let hover = format!("%{{x:.4g}} Hz: %{{y:.4g}} {unit}");
     for model in done.models {
         let points: Vec<(f64, f64, Option<f64>)> = model
@@ -191,7 +192,7 @@ fn responses(
             points.iter().map(|(_, v, _)| short(*v)).collect(),
         );
         plot.add_trace(
-            line.name(&model.title)
+            line.name(escape(&model.title))
                 .mode(Mode::Lines)
                 .line(Line::new().color(css(colour(model.role))).width(1.8))
                 .hover_template(&hover),
@@ -270,7 +271,7 @@ pub(super) fn phase(data: &Data, done: &Shown<'_>) -> Plot {
 
 /// Coherence over frequency.
 pub(super) fn coherence(data: &Data, done: &Shown<'_>) -> Plot {
-    let mut layout = over_frequency(data, done, "Coherence", true).show_legend(false);
+    let mut layout = over_frequency(data, done, "Coherence").show_legend(false);
     layout = layout.y_axis(chart::value_axis("Coherence").range(vec![0.0, 1.05]));
     let mut plot = chart::plot(layout);
     let points = || done.spectrum.iter().flat_map(|s| &s.points);

@@ -1,7 +1,7 @@
 //! The plots of a validation's page, after Figs. 9 to 13 of the paper.
 
 use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, rounded};
-use super::{ModelLine, short};
+use super::{ModelLine, escape, short};
 use crate::sink::Rgb;
 use crate::validate::{Run, Step, Validation};
 use nalgebra::{Point2, Point3};
@@ -70,7 +70,7 @@ fn model_trace(plot: &mut Plot, model: Option<&ModelLine>, of: impl Fn(&(f64, f6
     let (x, y) = model.points.iter().map(|p| (rounded(p.0, 5), rounded(of(p), 4))).unzip();
     plot.add_trace(
         Scatter::new(x, y)
-            .name(&model.name)
+            .name(escape(&model.name))
             .mode(Mode::Lines)
             .line(Line::new().color(css(PALETTE.marker(1))).width(1.6).dash(DashType::Dash))
             .hover_template(format!("%{{x}} Hz: %{{y:.2f}}{unit}")),

@@ -20,8 +20,8 @@ pub enum Unseen {
     #[error("outside of the view's region (mirror or pane too small)")]
     Region,
     /// Another view's image of the catheter lies there.
-    #[error("hidden by the image of view {0}")]
-    Hidden(usize),
+    #[error("hidden by the image of view `{0}`")]
+    Hidden(String),
     /// No light arrives.
     #[error("no light arrives: {0}")]
     NoRay(#[from] NoRay),
@@ -42,14 +42,14 @@ pub(super) fn seen(rig: &Rig, mount: &Mount, line: &CentreLine, view: usize) -> 
             if !own.contains(&pixel) {
                 return Err(Unseen::Region);
             }
-            for (other, hiding) in rig.views.iter().enumerate().filter(|(other, _)| *other != view) {
+            for (_, hiding) in rig.views.iter().enumerate().filter(|(other, _)| *other != view) {
                 let near = (0..=KNOTS).filter_map(|k| {
                     let at = line.at(mount.length_m * f64::from(k) / f64::from(KNOTS)).0;
                     hiding.optics.project(&at).ok().filter(|there| hiding.contains(there))
                 });
                 let mut near = near.map(|there| (there - pixel).norm());
                 if near.any(|distance| distance < 3.0 * radius_m * px_m) {
-                    return Err(Unseen::Hidden(other));
+                    return Err(Unseen::Hidden(hiding.name.clone()));
                 }
             }
         }

@@ -1,6 +1,19 @@
 // Pictures of a board as they arrive: corners, what they cover, and how far off the rig would be.
 
-import { ask, askPicture, bitmap, choose, complain, css, el, fill, latest, onPage, overPicture, say } from "./common.js";
+import {
+  ask,
+  askPicture,
+  bitmap,
+  choose,
+  complain,
+  css,
+  el,
+  fill,
+  latest,
+  onPage,
+  overPicture,
+  say,
+} from "./common.js";
 import { Stage } from "./stage.js";
 
 // A look at the camera, and a search for the board in its picture, no more often.
@@ -20,8 +33,20 @@ function base64(file) {
 
 export class Calibrate {
   constructor(state) {
-    Object.assign(this, { rig: state.rig, size: [4, 3], pictures: [], chosen: -1, verdicts: [], camera: state.camera, live: Boolean(state.camera), seen: [], shown: false });
-    this.stage = new Stage("The picture with the corners that were found.", { paint: (context, px) => this.paint(context, px) });
+    Object.assign(this, {
+      rig: state.rig,
+      size: [4, 3],
+      pictures: [],
+      chosen: -1,
+      verdicts: [],
+      camera: state.camera,
+      live: Boolean(state.camera),
+      seen: [],
+      shown: false,
+    });
+    this.stage = new Stage("The picture with the corners that were found.", {
+      paint: (context, px) => this.paint(context, px),
+    });
     this.load = latest((i) => this.show(i));
     this.judge = latest(() => this.judgeAll());
     this.build();
@@ -34,7 +59,12 @@ export class Calibrate {
       this.look();
       this.judgeCamera();
     }
-    if (!this.pictures.length) say(this.camera ? "Hold the board in view of the camera." : "Drop in pictures of the board, or choose a folder of them.");
+    if (!this.pictures.length)
+      say(
+        this.camera
+          ? "Hold the board in view of the camera."
+          : "Drop in pictures of the board, or choose a folder of them.",
+      );
   }
 
   leave() {
@@ -44,7 +74,8 @@ export class Calibrate {
   /** What the camera sees, as long as no picture that was taken is looked at. */
   async look() {
     try {
-      const reply = this.there && this.live && !document.hidden ? await ask("camera/look", { after: this.seq ?? null }) : null;
+      const reply =
+        this.there && this.live && !document.hidden ? await ask("camera/look", { after: this.seq ?? null }) : null;
       if (reply && this.live) {
         this.seq = reply.seq;
         this.size = this.camera.size;
@@ -90,7 +121,8 @@ export class Calibrate {
 
   build() {
     const field = (id, text, input) => el("label", { class: "line", for: id }, text, input);
-    const input = (id, value, more = {}) => el("input", { id, value, spellcheck: false, onchange: () => this.changed(), ...more });
+    const input = (id, value, more = {}) =>
+      el("input", { id, value, spellcheck: false, onchange: () => this.changed(), ...more });
     this.board = input("board", "9x6:12mm");
     this.mirrors = input("mirrors", 1, { type: "number", min: 1, max: 8 });
     this.glass = input("glass", "", { type: "number", step: 0.1, min: 0, placeholder: "mm; empty: in air" });
@@ -98,42 +130,131 @@ export class Calibrate {
     this.water = input("water", "", { type: "number", step: 0.1, placeholder: "20" });
     this.inside = el("input", { id: "inside", type: "checkbox", onchange: () => this.changed() });
     this.folder = input("folder", "boards");
-    this.out = el("input", { id: "rigout", class: "grow", value: this.rig ?? "", spellcheck: false, oninput: () => this.command() });
+    this.out = el("input", {
+      id: "rigout",
+      class: "grow",
+      value: this.rig ?? "",
+      spellcheck: false,
+      oninput: () => this.command(),
+    });
     this.rigName = el("span", { class: "mono grow" }, this.rig ?? "none");
     this.list = el("div", { class: "entries", id: "boards" });
     this.verdict = el("div", { id: "verdict", "aria-live": "polite" });
     this.cover = el("div", { class: "closer cover" });
     this.shown = el("pre", { id: "rigcommand" }, "");
     this.result = el("div", { id: "rigresult", "aria-live": "polite" });
-    this.saveButton = el("button", { type: "button", class: "main", id: "rigsave", onclick: () => this.save() }, "Calibrate and save");
+    this.saveButton = el(
+      "button",
+      { type: "button", class: "main", id: "rigsave", onclick: () => this.save() },
+      "Calibrate and save",
+    );
     this.command = latest(() => this.showCommand());
-    const files = el("input", { type: "file", multiple: true, accept: "image/*", id: "files", onchange: () => this.take([...files.files]).catch(complain) });
-    this.byItself = el("input", { id: "byitself", type: "checkbox", onchange: () => { this.seen = []; this.cameraSays.textContent = ""; } });
+    const files = el("input", {
+      type: "file",
+      multiple: true,
+      accept: "image/*",
+      id: "files",
+      onchange: () => this.take([...files.files]).catch(complain),
+    });
+    this.byItself = el("input", {
+      id: "byitself",
+      type: "checkbox",
+      onchange: () => {
+        this.seen = [];
+        this.cameraSays.textContent = "";
+      },
+    });
     this.cameraSays = el("p", { class: "quiet", id: "camerasays", "aria-live": "polite" });
-    const camera = this.camera ? el("section", {},
-      el("h2", {}, `Camera ${this.camera.name}`),
-      el("div", { class: "row" },
-        el("button", { type: "button", class: "main", id: "takepicture", onclick: () => this.takePicture().catch(complain) }, "Take a picture"),
-        el("button", { type: "button", onclick: () => this.watch() }, "Show the camera")),
-      el("label", { for: "byitself" }, this.byItself, "take one when the board stands still and tells something new"),
-      this.cameraSays) : null;
-    const left = el("div", { class: "left" }, this.stage.element, el("div", { class: "below" },
-      el("div", {}, this.cover, el("p", { class: "quiet" }, "What the corners of all pictures cover.")),
-      el("section", { class: "grow" }, el("h2", {}, "How far off the rig would be"), this.verdict)));
-    const side = el("div", { class: "side" },
-      el("section", {},
-        el("div", { class: "row" }, el("b", {}, "Rig"), this.rigName, el("button", { type: "button", onclick: () => choose("Rig files", ["rig"], (path) => { this.rig = path; this.rigName.textContent = path; this.out.value = path; this.changed(); }) }, "Open …")),
-        field("board", "Board", this.board), field("mirrors", "Mirrors", this.mirrors), field("glass", "Glass", this.glass),
-        field("tank", "Tank", this.tank), field("water", "Water, °C", this.water),
-        el("label", { for: "inside" }, this.inside, "the mirrors stand in the tank")),
+    const camera = this.camera
+      ? el(
+          "section",
+          {},
+          el("h2", {}, `Camera ${this.camera.name}`),
+          el(
+            "div",
+            { class: "row" },
+            el(
+              "button",
+              { type: "button", class: "main", id: "takepicture", onclick: () => this.takePicture().catch(complain) },
+              "Take a picture",
+            ),
+            el("button", { type: "button", onclick: () => this.watch() }, "Show the camera"),
+          ),
+          el(
+            "label",
+            { for: "byitself" },
+            this.byItself,
+            "take one when the board stands still and tells something new",
+          ),
+          this.cameraSays,
+        )
+      : null;
+    const left = el(
+      "div",
+      { class: "left" },
+      this.stage.element,
+      el(
+        "div",
+        { class: "below" },
+        el("div", {}, this.cover, el("p", { class: "quiet" }, "What the corners of all pictures cover.")),
+        el("section", { class: "grow" }, el("h2", {}, "How far off the rig would be"), this.verdict),
+      ),
+    );
+    const side = el(
+      "div",
+      { class: "side" },
+      el(
+        "section",
+        {},
+        el(
+          "div",
+          { class: "row" },
+          el("b", {}, "Rig"),
+          this.rigName,
+          el(
+            "button",
+            {
+              type: "button",
+              onclick: () =>
+                choose("Rig files", ["rig"], (path) => {
+                  this.rig = path;
+                  this.rigName.textContent = path;
+                  this.out.value = path;
+                  this.changed();
+                }),
+            },
+            "Open …",
+          ),
+        ),
+        field("board", "Board", this.board),
+        field("mirrors", "Mirrors", this.mirrors),
+        field("glass", "Glass", this.glass),
+        field("tank", "Tank", this.tank),
+        field("water", "Water, °C", this.water),
+        el("label", { for: "inside" }, this.inside, "the mirrors stand in the tank"),
+      ),
       camera,
-      el("section", {},
+      el(
+        "section",
+        {},
         el("h2", {}, "Pictures"),
         el("div", { class: "row" }, el("label", { for: "files" }, "Add", files)),
         field("folder", "kept in", this.folder),
-        el("button", { type: "button", id: "usefolder", onclick: () => this.useFolder().catch(complain) }, "Use the pictures in this folder"),
-        this.list),
-      el("section", {}, el("div", { class: "row" }, el("label", { class: "grow", for: "rigout" }, "into", this.out), this.saveButton), this.shown, this.result));
+        el(
+          "button",
+          { type: "button", id: "usefolder", onclick: () => this.useFolder().catch(complain) },
+          "Use the pictures in this folder",
+        ),
+        this.list,
+      ),
+      el(
+        "section",
+        {},
+        el("div", { class: "row" }, el("label", { class: "grow", for: "rigout" }, "into", this.out), this.saveButton),
+        this.shown,
+        this.result,
+      ),
+    );
     this.element = el("div", { class: "view calibrate" }, left, side);
     this.element.addEventListener("dragover", (event) => event.preventDefault());
     this.element.addEventListener("drop", (event) => {
@@ -147,7 +268,11 @@ export class Calibrate {
   async take(files) {
     for (const file of files.filter((f) => KINDS.test(f.name))) {
       say(`Keeping ${file.name} …`);
-      const { picture } = await ask("board/keep", { folder: this.folder.value, name: file.name, base64: await base64(file) });
+      const { picture } = await ask("board/keep", {
+        folder: this.folder.value,
+        name: file.name,
+        base64: await base64(file),
+      });
       await this.add(picture);
     }
     const others = files.filter((f) => !KINDS.test(f.name));
@@ -173,9 +298,16 @@ export class Calibrate {
   async find(picture) {
     say(`Looking for the board in ${picture.path} …`);
     try {
-      picture.found = await ask("board/find", { picture: picture.path, board: this.board.value, mirrors: Number(this.mirrors.value) });
+      picture.found = await ask("board/find", {
+        picture: picture.path,
+        board: this.board.value,
+        mirrors: Number(this.mirrors.value),
+      });
       const seen = picture.found.images?.length;
-      say(`${picture.path}: ${picture.found.error ?? `${seen} ${seen === 1 ? "image" : "images"} of the board found`}`, Boolean(picture.found.error));
+      say(
+        `${picture.path}: ${picture.found.error ?? `${seen} ${seen === 1 ? "image" : "images"} of the board found`}`,
+        Boolean(picture.found.error),
+      );
     } catch (error) {
       picture.found = { error: error.message, images: null, size: this.size };
       complain(error);
@@ -194,9 +326,13 @@ export class Calibrate {
   form() {
     return {
       pictures: this.pictures.filter((p) => p.used && p.found?.images).map((p) => p.path),
-      board: this.board.value, rig: this.rig ?? "", mirrors: Number(this.mirrors.value),
-      glass_mm: this.glass.value ? Number(this.glass.value) : null, tank: this.tank.value || null,
-      mirrors_inside: this.inside.checked, temperature: this.water.value ? Number(this.water.value) : null,
+      board: this.board.value,
+      rig: this.rig ?? "",
+      mirrors: Number(this.mirrors.value),
+      glass_mm: this.glass.value ? Number(this.glass.value) : null,
+      tank: this.tank.value || null,
+      mirrors_inside: this.inside.checked,
+      temperature: this.water.value ? Number(this.water.value) : null,
     };
   }
 
@@ -211,32 +347,99 @@ export class Calibrate {
   }
 
   tell() {
-    fill(this.list, this.pictures.map((picture, i) => {
-      const seen = picture.found?.images?.length ?? 0;
-      const what = picture.found ? picture.found.error ?? `${seen} ${seen === 1 ? "image" : "images"}${picture.found.images.some((image) => image.blurred) ? ", blurred" : ""}` : "…";
-      return el("div", { class: "row" },
-        el("input", { type: "checkbox", checked: picture.used, "aria-label": `use ${picture.path}`, onchange: (e) => { picture.used = e.target.checked; this.judge(); this.command(); } }),
-        el("button", { type: "button", class: "grow", "aria-pressed": String(i === this.chosen), onclick: () => this.go(i) }, picture.path.split("/").at(-1)),
-        el("span", { class: picture.found?.error ? "bad grow" : "quiet" }, what));
-    }));
+    fill(
+      this.list,
+      this.pictures.map((picture, i) => {
+        const seen = picture.found?.images?.length ?? 0;
+        const what = picture.found
+          ? (picture.found.error ??
+            `${seen} ${seen === 1 ? "image" : "images"}` +
+              (picture.found.images.some((image) => image.blurred) ? ", blurred" : ""))
+          : "…";
+        return el(
+          "div",
+          { class: "row" },
+          el("input", {
+            type: "checkbox",
+            checked: picture.used,
+            "aria-label": `use ${picture.path}`,
+            onchange: (e) => {
+              picture.used = e.target.checked;
+              this.judge();
+              this.command();
+            },
+          }),
+          el(
+            "button",
+            { type: "button", class: "grow", "aria-pressed": String(i === this.chosen), onclick: () => this.go(i) },
+            picture.path.split("/").at(-1),
+          ),
+          el("span", { class: picture.found?.error ? "bad grow" : "quiet" }, what),
+        );
+      }),
+    );
     const last = this.verdicts.at(-1);
     const parts = [];
     if (!last) parts.push(el("p", { class: "quiet" }, "Shown once there are pictures and a rig file with a camera."));
     else if (last.error) parts.push(el("p", { class: "bad" }, `${last.pictures} pictures: ${last.error}`));
     else if (!last.verdict) parts.push(el("p", {}, "These pictures do not determine the errors."));
     else {
-      const row = (name, [median, worst]) => el("tr", {}, el("td", {}, name), el("td", { class: "number" }, mm(median)), el("td", { class: "number" }, mm(worst)));
+      const row = (name, [median, worst]) =>
+        el(
+          "tr",
+          {},
+          el("td", {}, name),
+          el("td", { class: "number" }, mm(median)),
+          el("td", { class: "number" }, mm(worst)),
+        );
       parts.push(
-        el("table", {}, el("tr", {}, el("th", {}, "1σ, in the volume of the boards"), el("th", { class: "number" }, "median"), el("th", { class: "number" }, "worst")),
-          row("in the camera frame", last.verdict.absolute_mm), row("within the volume", last.verdict.relative_mm), row("by noise, one frame", last.verdict.random_mm)),
+        el(
+          "table",
+          {},
+          el(
+            "tr",
+            {},
+            el("th", {}, "1σ, in the volume of the boards"),
+            el("th", { class: "number" }, "median"),
+            el("th", { class: "number" }, "worst"),
+          ),
+          row("in the camera frame", last.verdict.absolute_mm),
+          row("within the volume", last.verdict.relative_mm),
+          row("by noise, one frame", last.verdict.random_mm),
+        ),
         el("h2", {}, "The next picture"),
-        el("ul", {}, last.verdict.helpful.map((s) => el("li", {}, `${s.what}: ${mm(s.absolute_mm)} in the camera frame, ${mm(s.relative_mm)} within the volume`))));
+        el(
+          "ul",
+          {},
+          last.verdict.helpful.map((s) =>
+            el("li", {}, `${s.what}: ${mm(s.absolute_mm)} in the camera frame, ${mm(s.relative_mm)} within the volume`),
+          ),
+        ),
+      );
     }
     const steps = this.verdicts.filter((v) => v.verdict).sort((a, b) => a.pictures - b.pictures);
     if (steps.length > 1) {
-      parts.push(el("h2", {}, "As pictures arrived"), el("table", { id: "arrived" },
-        el("tr", {}, ["pictures", "camera frame", "within the volume"].map((t) => el("th", { class: "number" }, t))),
-        steps.map((v) => el("tr", {}, [v.pictures, mm(v.verdict.absolute_mm[0]), mm(v.verdict.relative_mm[0])].map((t) => el("td", { class: "number" }, String(t)))))));
+      parts.push(
+        el("h2", {}, "As pictures arrived"),
+        el(
+          "table",
+          { id: "arrived" },
+          el(
+            "tr",
+            {},
+            ["pictures", "camera frame", "within the volume"].map((t) => el("th", { class: "number" }, t)),
+          ),
+          steps.map((v) =>
+            el(
+              "tr",
+              {},
+              [v.pictures, mm(v.verdict.absolute_mm[0]), mm(v.verdict.relative_mm[0])].map((t) =>
+                el("td", { class: "number" }, String(t)),
+              ),
+            ),
+          ),
+        ),
+      );
     }
     fill(this.verdict, parts);
     this.covered();
@@ -247,15 +450,23 @@ export class Calibrate {
     const size = this.pictures.find((p) => p.found?.size)?.found.size;
     if (!size) return fill(this.cover);
     const width = 260;
-    const canvas = el("canvas", { width: width * 2, height: Math.round((width * 2 * size[1]) / size[0]), role: "img", "aria-label": "corners of all pictures" });
+    const canvas = el("canvas", {
+      width: width * 2,
+      height: Math.round((width * 2 * size[1]) / size[0]),
+      role: "img",
+      "aria-label": "corners of all pictures",
+    });
     const context = canvas.getContext("2d");
     context.fillStyle = css("--panel");
     context.fillRect(0, 0, canvas.width, canvas.height);
     const scale = canvas.width / size[0];
-    this.pictures.filter((p) => p.used).forEach((picture, i) => {
-      context.fillStyle = onPage(i);
-      for (const image of picture.found?.images ?? []) for (const [x, y] of image.corners) context.fillRect(x * scale - 1.5, y * scale - 1.5, 3, 3);
-    });
+    this.pictures
+      .filter((p) => p.used)
+      .forEach((picture, i) => {
+        context.fillStyle = onPage(i);
+        for (const image of picture.found?.images ?? [])
+          for (const [x, y] of image.corners) context.fillRect(x * scale - 1.5, y * scale - 1.5, 3, 3);
+      });
     fill(this.cover, canvas);
   }
 
@@ -287,7 +498,9 @@ export class Calibrate {
   }
 
   paint(context, px) {
-    const images = this.live ? this.seen.map((corners) => ({ corners })) : this.pictures[this.chosen]?.found?.images ?? [];
+    const images = this.live
+      ? this.seen.map((corners) => ({ corners }))
+      : (this.pictures[this.chosen]?.found?.images ?? []);
     images.forEach((image, k) => {
       context.strokeStyle = overPicture(k);
       context.lineWidth = 1.6 * px;
@@ -318,9 +531,18 @@ export class Calibrate {
     try {
       const done = await ask("board/save", { form: this.form(), out: this.out.value, dry: false });
       const good = done.told.code === 0;
-      fill(this.result, el("p", { class: good ? "good" : "bad" }, good ? `Saved: ${done.out}` : done.told.error),
-        done.told.warnings.length ? el("ul", {}, done.told.warnings.map((w) => el("li", {}, w))) : null,
-        done.told.text ? el("pre", {}, done.told.text.trim()) : null);
+      fill(
+        this.result,
+        el("p", { class: good ? "good" : "bad" }, good ? `Saved: ${done.out}` : done.told.error),
+        done.told.warnings.length
+          ? el(
+              "ul",
+              {},
+              done.told.warnings.map((w) => el("li", {}, w)),
+            )
+          : null,
+        done.told.text ? el("pre", {}, done.told.text.trim()) : null,
+      );
       say(good ? `Saved: ${done.out}` : done.told.error, !good);
     } catch (error) {
       fill(this.result, el("p", { class: "bad" }, error.message));

@@ -69,7 +69,9 @@ export function el(tag, props = {}, ...children) {
 
 /** Puts these into an element, in place of what was there. */
 export function fill(element, ...children) {
-  element.replaceChildren(...children.flat(2).filter((child) => child !== null && child !== undefined && child !== false));
+  element.replaceChildren(
+    ...children.flat(2).filter((child) => child !== null && child !== undefined && child !== false),
+  );
 }
 
 /** What the page is doing, at its foot. */
@@ -167,11 +169,25 @@ export function choose(title, kinds, chosen) {
       return chosen(entry.path);
     };
     const wanted = listed.entries.filter((entry) => entry.kind === "folder" || kinds.includes(entry.kind));
-    const up = listed.folder === "." ? null : el("button", { type: "button", onclick: () => show(`${listed.folder}/..`) }, "↑ the folder above");
-    fill(dialog,
+    const up =
+      listed.folder === "."
+        ? null
+        : el("button", { type: "button", onclick: () => show(`${listed.folder}/..`) }, "↑ the folder above");
+    fill(
+      dialog,
       el("h2", {}, `${title} in ${listed.folder}`),
-      el("div", { class: "entries" }, up, wanted.map((entry) =>
-        el("button", { type: "button", onclick: () => enter(entry) }, entry.kind === "folder" ? `${entry.name}/` : entry.name))),
+      el(
+        "div",
+        { class: "entries" },
+        up,
+        wanted.map((entry) =>
+          el(
+            "button",
+            { type: "button", onclick: () => enter(entry) },
+            entry.kind === "folder" ? `${entry.name}/` : entry.name,
+          ),
+        ),
+      ),
       wanted.length ? null : el("p", { class: "quiet" }, "Nothing of that kind is here."),
       el("button", { type: "button", onclick: () => dialog.close() }, "Cancel"),
     );

@@ -1,4 +1,5 @@
-// Curves over time on one canvas: many points, gaps where nothing was measured, a cursor that steps from frame to frame.
+// Curves over time on one canvas: many points, gaps where nothing was measured, a cursor that steps from frame to
+// frame.
 
 import { css, el, redrawer, sharp } from "./common.js";
 
@@ -80,7 +81,8 @@ export class Plot {
     }
     const along = step(to - from, w / 90);
     context.textAlign = "center";
-    for (let t = Math.ceil(from / along) * along; t <= to; t += along) if (px(t) < width - 22) context.fillText(`${digits(t, along)} s`, px(t), height - 5);
+    for (let t = Math.ceil(from / along) * along; t <= to; t += along)
+      if (px(t) < width - 22) context.fillText(`${digits(t, along)} s`, px(t), height - 5);
     context.textAlign = "left";
     context.save();
     context.beginPath();
@@ -102,8 +104,10 @@ export class Plot {
         context.beginPath();
         if (shape === "cross") {
           context.lineWidth = 2;
-          context.moveTo(at - 4, TOP + 4); context.lineTo(at + 4, TOP + 12);
-          context.moveTo(at + 4, TOP + 4); context.lineTo(at - 4, TOP + 12);
+          context.moveTo(at - 4, TOP + 4);
+          context.lineTo(at + 4, TOP + 12);
+          context.moveTo(at + 4, TOP + 4);
+          context.lineTo(at - 4, TOP + 12);
           context.stroke();
         } else if (shape === "flag") {
           context.fillRect(at - 1, TOP, 2, h);
@@ -160,7 +164,8 @@ export class Plot {
     context.setLineDash([]);
   }
 
-  /** What was measured without a gap: on the screen from left to right, least and most of what falls on one pixel, its σ. */
+  /** What was measured without a gap: on the screen from left to right, least and most of what falls on one pixel,
+   * its σ. */
   pieces({ x, y, sd }, px) {
     const { from, to } = this.shared;
     const pieces = [];
@@ -218,11 +223,15 @@ export class Plot {
       if (held && !held.moved) this.picked?.(this.time(event));
       held = null;
     });
-    canvas.addEventListener("wheel", (event) => {
-      if (!this.picked) return;
-      event.preventDefault();
-      this.zoom(this.time(event), Math.exp(event.deltaY * 0.0015));
-    }, { passive: false });
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        if (!this.picked) return;
+        event.preventDefault();
+        this.zoom(this.time(event), Math.exp(event.deltaY * 0.0015));
+      },
+      { passive: false },
+    );
     canvas.addEventListener("dblclick", () => this.whole());
     canvas.addEventListener("keydown", (event) => {
       if (!this.picked) return;

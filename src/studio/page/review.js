@@ -1,6 +1,19 @@
 // A run that is over: θ over time, and each frame with what was found in it.
 
-import { ask, askPicture, choose, complain, css, el, fill, latest, onPage, overPicture, say, swatch } from "./common.js";
+import {
+  ask,
+  askPicture,
+  choose,
+  complain,
+  css,
+  el,
+  fill,
+  latest,
+  onPage,
+  overPicture,
+  say,
+  swatch,
+} from "./common.js";
 import { Plot } from "./plot.js";
 import { Space } from "./scene.js";
 import { Stage, label, outline } from "./stage.js";
@@ -17,7 +30,9 @@ export class Review {
     this.theta = new Plot("θ over time with its σ", "θ (°)", this.shared, at);
     this.residual = new Plot("Residuals over time, band by band", "residual (px)", this.shared, at);
     this.residual.element.classList.add("low");
-    this.stage = new Stage("The frame with outlines of the bands in all views.", { paint: (context, px) => this.paint(context, px) });
+    this.stage = new Stage("The frame with outlines of the bands in all views.", {
+      paint: (context, px) => this.paint(context, px),
+    });
     this.space = new Space();
     this.load = latest((row) => this.showRow(row));
     this.build();
@@ -36,33 +51,82 @@ export class Review {
     const button = (text, does) => el("button", { type: "button", onclick: does }, text);
     this.name = el("span", { class: "mono grow" }, this.path ?? "none");
     this.otherName = el("span", { class: "mono grow quiet" }, "none");
-    this.slider = el("input", { type: "range", min: 0, max: 0, value: 0, "aria-label": "Frame of the run", oninput: () => this.go(Number(this.slider.value)) });
+    this.slider = el("input", {
+      type: "range",
+      min: 0,
+      max: 0,
+      value: 0,
+      "aria-label": "Frame of the run",
+      oninput: () => this.go(Number(this.slider.value)),
+    });
     this.at = el("span", { class: "mono" }, "");
     this.playButton = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.play() }, "Play");
     this.legend = el("div", { class: "legend" });
     this.words = el("div", { id: "frame" });
     this.list = el("div", { id: "vetoes" });
-    this.comment = el("input", { class: "grow", id: "comment", placeholder: "why this frame should not be trusted", maxLength: 400 });
+    this.comment = el("input", {
+      class: "grow",
+      id: "comment",
+      placeholder: "why this frame should not be trusted",
+      maxLength: 400,
+    });
     this.vetoButton = button("Veto this frame", () => this.veto().catch(complain));
     this.drift = el("div", {});
     const pictures = el("div", { class: "pictures" }, this.stage.element, this.space.element);
-    const left = el("div", { class: "left" }, pictures,
-      el("div", { class: "row" },
-        button("‹", () => this.go(this.row - 1)), this.playButton, button("›", () => this.go(this.row + 1)),
-        button("next miss", () => this.nextMiss()), this.slider, this.at),
-      el("div", {}, this.theta.element, this.legend, this.residual.element));
-    const side = el("div", { class: "side" },
-      el("section", {},
-        el("div", { class: "row" }, el("b", {}, "Run"), this.name, button("Open …", () => choose("Runs", ["run"], (path) => this.open(path).catch(complain)))),
-        el("div", { class: "row" }, el("b", {}, "Compare"), this.otherName,
+    const left = el(
+      "div",
+      { class: "left" },
+      pictures,
+      el(
+        "div",
+        { class: "row" },
+        button("‹", () => this.go(this.row - 1)),
+        this.playButton,
+        button("›", () => this.go(this.row + 1)),
+        button("next miss", () => this.nextMiss()),
+        this.slider,
+        this.at,
+      ),
+      el("div", {}, this.theta.element, this.legend, this.residual.element),
+    );
+    const side = el(
+      "div",
+      { class: "side" },
+      el(
+        "section",
+        {},
+        el(
+          "div",
+          { class: "row" },
+          el("b", {}, "Run"),
+          this.name,
+          button("Open …", () => choose("Runs", ["run"], (path) => this.open(path).catch(complain))),
+        ),
+        el(
+          "div",
+          { class: "row" },
+          el("b", {}, "Compare"),
+          this.otherName,
           button("Open …", () => choose("Runs", ["run"], (path) => this.compare(path).catch(complain))),
-          button("None", () => this.compare(null).catch(complain)))),
+          button("None", () => this.compare(null).catch(complain)),
+        ),
+      ),
       el("section", {}, el("h2", {}, "This frame"), this.words),
-      el("section", {}, el("h2", {}, "Veto"),
+      el(
+        "section",
+        {},
+        el("h2", {}, "Veto"),
         el("div", { class: "row" }, this.comment, this.vetoButton),
-        el("p", { class: "quiet" }, "Written into vetoes.csv beside the run; what was measured stays, and a veto that is taken back stays in the file."),
-        this.list),
-      el("section", {}, el("h2", {}, "Drift"), this.drift));
+        el(
+          "p",
+          { class: "quiet" },
+          "Written into vetoes.csv beside the run; what was measured stays, " +
+            "and a veto that is taken back stays in the file.",
+        ),
+        this.list,
+      ),
+      el("section", {}, el("h2", {}, "Drift"), this.drift),
+    );
     this.element = el("div", { class: "view review" }, left, side);
   }
 
@@ -73,15 +137,33 @@ export class Review {
     this.name.textContent = path;
     const { t_s: t } = this.run;
     const last = t.at(-1) ?? 1;
-    Object.assign(this.shared, { from: t[0] ?? 0, to: last > (t[0] ?? 0) ? last : 1, whole: [t[0] ?? 0, last], cursor: 0 });
+    Object.assign(this.shared, {
+      from: t[0] ?? 0,
+      to: last > (t[0] ?? 0) ? last : 1,
+      whole: [t[0] ?? 0, last],
+      cursor: 0,
+    });
     this.slider.max = Math.max(0, t.length - 1);
-    fill(this.drift, ...(this.run.alarms.length
-      ? this.run.alarms.map(({ t_s: from, over_s: over, what }) => el("p", { class: "alarm" },
-        `from ${from.toFixed(2)} s ${over === null ? "on" : `to ${over.toFixed(2)} s`}: ${what}`))
-      : [el("p", {}, this.run.note ?? "None was noticed: the views agree as they did when the rig was calibrated.")]));
+    fill(
+      this.drift,
+      ...(this.run.alarms.length
+        ? this.run.alarms.map(({ t_s: from, over_s: over, what }) =>
+            el(
+              "p",
+              { class: "alarm" },
+              `from ${from.toFixed(2)} s ${over === null ? "on" : `to ${over.toFixed(2)} s`}: ${what}`,
+            ),
+          )
+        : [el("p", {}, this.run.note ?? "None was noticed: the views agree as they did when the rig was calibrated.")]),
+    );
     this.vetoes = this.run.vetoes;
     this.plots();
-    say(this.run.cut ? `${path}: ${this.run.cut}` : `${path}: ${t.length} frames, ${this.run.miss.filter((m) => m !== null).length} without θ`, Boolean(this.run.cut));
+    say(
+      this.run.cut
+        ? `${path}: ${this.run.cut}`
+        : `${path}: ${t.length} frames, ${this.run.miss.filter((m) => m !== null).length} without θ`,
+      Boolean(this.run.cut),
+    );
     this.element.dataset.rows = t.length;
     this.go(0);
   }
@@ -98,23 +180,57 @@ export class Review {
     const { run, other } = this;
     const { t_s: x } = run;
     const lines = [{ x, y: run.theta_deg, sd: run.sd_deg, colour: css("--m3"), name: "θ" }];
-    if (other) lines.push({ x: other.t_s, y: other.theta_deg, sd: other.sd_deg, colour: css("--m1"), name: "the other run", dash: [6, 4] });
-    const marks = run.reasons.map((_, k) => ({ x: x.filter((_, i) => run.miss[i] === k), colour: css(REASONS[k % REASONS.length]), shape: "tick" }));
+    if (other)
+      lines.push({
+        x: other.t_s,
+        y: other.theta_deg,
+        sd: other.sd_deg,
+        colour: css("--m1"),
+        name: "the other run",
+        dash: [6, 4],
+      });
+    const marks = run.reasons.map((_, k) => ({
+      x: x.filter((_, i) => run.miss[i] === k),
+      colour: css(REASONS[k % REASONS.length]),
+      shape: "tick",
+    }));
     marks.push({ x: x.filter((_, i) => run.gap[i] > 0), colour: css("--gap"), shape: "flag" });
     marks.push({ x: x.filter((_, i) => this.vetoes[this.seq(i)] !== undefined), colour: css("--bad"), shape: "cross" });
     const bars = run.alarms.map((alarm) => ({ x0: alarm.t_s, x1: alarm.over_s ?? x.at(-1), colour: css("--bad") }));
     this.theta.set(lines, marks, bars);
     const strokes = [[], [5, 3], [2, 3]];
-    this.residual.set(run.residuals.map(({ band, view, px }) => ({
-      x, y: px, colour: onPage(run.markers.indexOf(band)), name: `${band} in ${view}`, dash: strokes[run.views.indexOf(view) % 3],
-    })));
+    this.residual.set(
+      run.residuals.map(({ band, view, px }) => ({
+        x,
+        y: px,
+        colour: onPage(run.markers.indexOf(band)),
+        name: `${band} in ${view}`,
+        dash: strokes[run.views.indexOf(view) % 3],
+      })),
+    );
     const lost = run.gap.reduce((sum, gap) => sum + gap, 0);
-    fill(this.legend,
+    fill(
+      this.legend,
       el("span", {}, swatch(css("--m3")), "θ ± σ"),
       other ? el("span", {}, swatch(css("--m1")), `compared (dashes): ${other.run}`) : null,
-      ...run.reasons.map((reason, k) => el("span", {}, swatch(css(REASONS[k % REASONS.length])), `${reason} (${run.miss.filter((m) => m === k).length})`)),
+      ...run.reasons.map((reason, k) =>
+        el(
+          "span",
+          {},
+          swatch(css(REASONS[k % REASONS.length])),
+          `${reason} (${run.miss.filter((m) => m === k).length})`,
+        ),
+      ),
       lost ? el("span", {}, swatch(css("--gap")), `frames lost (${lost})`) : null,
-      ...run.markers.map((marker, m) => el("span", {}, swatch(onPage(m)), `${marker}: ${run.views.map((v, k) => `${v} ${["—", "- -", "···"][k % 3]}`).join(", ")}`)));
+      ...run.markers.map((marker, m) =>
+        el(
+          "span",
+          {},
+          swatch(onPage(m)),
+          `${marker}: ${run.views.map((v, k) => `${v} ${["—", "- -", "···"][k % 3]}`).join(", ")}`,
+        ),
+      ),
+    );
   }
 
   seq(i) {
@@ -152,7 +268,8 @@ export class Review {
   async showRow(row) {
     const found = await ask("run/frame", { run: this.path, row });
     let picture = null;
-    if (found.recording) picture = await askPicture("frame", { recording: found.recording, frame: found.frame, width: null });
+    if (found.recording)
+      picture = await askPicture("frame", { recording: found.recording, frame: found.frame, width: null });
     this.found = { ...found, row };
     if (picture) this.stage.show(picture, [picture.width, picture.height]);
     else this.stage.show(null, this.stage.size);
@@ -169,22 +286,62 @@ export class Review {
 
   tell() {
     const { found } = this;
-    const number = (value, digits, unit) => (value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`);
+    const number = (value, digits, unit) =>
+      value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`;
     const plain = (value, digits) => value?.toFixed(digits) ?? "–";
-    const theta = found.theta_deg === null ? el("span", { class: "bad" }, found.status) : `${plain(found.theta_deg, 3)}° ± ${plain(found.sd_deg, 3)}°`;
+    const theta =
+      found.theta_deg === null
+        ? el("span", { class: "bad" }, found.status)
+        : `${plain(found.theta_deg, 3)}° ± ${plain(found.sd_deg, 3)}°`;
     const vetoed = this.vetoes[found.seq];
-    fill(this.words,
-      el("p", {}, el("b", {}, "θ "), theta, el("span", { class: "quiet" }, `   frame ${found.seq}, ${found.stamp_ns} ns`)),
+    fill(
+      this.words,
+      el(
+        "p",
+        {},
+        el("b", {}, "θ "),
+        theta,
+        el("span", { class: "quiet" }, `   frame ${found.seq}, ${found.stamp_ns} ns`),
+      ),
       vetoed === undefined ? null : el("p", { class: "bad" }, `vetoed: ${vetoed}`),
       found.no_picture ? el("p", { class: found.wait ? "quiet" : "bad" }, found.no_picture) : null,
-      el("table", {}, el("tr", {}, el("th", {}, "Band"), el("th", {}, "Place"), ...this.run.views.map((v) => el("th", { class: "number" }, `${v}: residual, σ`))),
-        found.bands.map((band, m) => el("tr", {},
-          el("td", {}, swatch(onPage(m)), band.name),
-          el("td", { class: band.ok ? "" : "bad" }, band.ok ? `σ ${number(band.sd_mm, 3, "mm")}` : band.status),
-          ...band.views.map((seen) => el("td", { class: "number" }, seen ? `${plain(seen.residual_px, 2)}, ${plain(seen.sd_px, 2)} px` : "–"))))));
+      el(
+        "table",
+        {},
+        el(
+          "tr",
+          {},
+          el("th", {}, "Band"),
+          el("th", {}, "Place"),
+          ...this.run.views.map((v) => el("th", { class: "number" }, `${v}: residual, σ`)),
+        ),
+        found.bands.map((band, m) =>
+          el(
+            "tr",
+            {},
+            el("td", {}, swatch(onPage(m)), band.name),
+            el("td", { class: band.ok ? "" : "bad" }, band.ok ? `σ ${number(band.sd_mm, 3, "mm")}` : band.status),
+            ...band.views.map((seen) =>
+              el("td", { class: "number" }, seen ? `${plain(seen.residual_px, 2)}, ${plain(seen.sd_px, 2)} px` : "–"),
+            ),
+          ),
+        ),
+      ),
+    );
     this.vetoButton.textContent = vetoed === undefined ? "Veto this frame" : "Take the veto back";
     const rows = Object.entries(this.vetoes);
-    fill(this.list, ...(rows.length ? [el("ul", {}, rows.map(([seq, comment]) => el("li", {}, `frame ${seq}: ${comment}`)))] : []));
+    fill(
+      this.list,
+      ...(rows.length
+        ? [
+            el(
+              "ul",
+              {},
+              rows.map(([seq, comment]) => el("li", {}, `frame ${seq}: ${comment}`)),
+            ),
+          ]
+        : []),
+    );
   }
 
   async veto() {

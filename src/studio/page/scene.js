@@ -5,8 +5,10 @@ import { css, el, onPage, redrawer, sharp } from "./common.js";
 export class Space {
   constructor() {
     this.canvas = el("canvas", {
-      tabIndex: 0, role: "img",
-      "aria-label": "The rig in space: camera, mirror, walls, tube and light. Arrow keys turn it, plus and minus change its size.",
+      tabIndex: 0,
+      role: "img",
+      "aria-label":
+        "The rig in space: camera, mirror, walls, tube and light. Arrow keys turn it, plus and minus change its size.",
     });
     this.element = el("div", { class: "space" }, this.canvas);
     Object.assign(this, { setUp: null, light: null, turn: [-0.5, 0.45], zoom: 1 });
@@ -23,10 +25,14 @@ export class Space {
     });
     this.canvas.addEventListener("pointerup", () => (held = null));
     this.canvas.addEventListener("pointercancel", () => (held = null));
-    this.canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.grow(Math.exp(-event.deltaY * 0.0015));
-    }, { passive: false });
+    this.canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.grow(Math.exp(-event.deltaY * 0.0015));
+      },
+      { passive: false },
+    );
     this.canvas.addEventListener("keydown", (event) => {
       const turns = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] };
       if (turns[event.key]) this.turn = this.turn.map((v, i) => v + turns[event.key][i]);

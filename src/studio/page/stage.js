@@ -69,11 +69,19 @@ export class Stage {
     this.paint(context, 1 / scale);
     if (this.cross) {
       const [x, y] = this.cross;
-      for (const [colour, wide] of [["#000", 4], ["#fff", 2]]) {
+      for (const [colour, wide] of [
+        ["#000", 4],
+        ["#fff", 2],
+      ]) {
         context.strokeStyle = colour;
         context.lineWidth = wide / scale;
         context.beginPath();
-        for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+        for (const [dx, dy] of [
+          [1, 0],
+          [-1, 0],
+          [0, 1],
+          [0, -1],
+        ]) {
           context.moveTo(x + (dx * 4) / scale, y + (dy * 4) / scale);
           context.lineTo(x + (dx * 14) / scale, y + (dy * 14) / scale);
         }
@@ -90,7 +98,13 @@ export class Stage {
       canvas.setPointerCapture(event.pointerId);
       const at = this.pixel(event);
       const drag = this.grab?.(at, 9 / this.place().scale) ?? null;
-      held = { x: event.clientX, y: event.clientY, middle: this.middle ?? [this.size[0] / 2 - 0.5, this.size[1] / 2 - 0.5], drag, moved: false };
+      held = {
+        x: event.clientX,
+        y: event.clientY,
+        middle: this.middle ?? [this.size[0] / 2 - 0.5, this.size[1] / 2 - 0.5],
+        drag,
+        moved: false,
+      };
     });
     canvas.addEventListener("pointermove", (event) => {
       if (!held) return;
@@ -114,10 +128,14 @@ export class Stage {
     });
     canvas.addEventListener("pointercancel", () => (held = null));
     canvas.addEventListener("dblclick", () => this.click || this.reset());
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.zoomAt(this.pixel(event), Math.exp(-event.deltaY * 0.0015));
-    }, { passive: false });
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.zoomAt(this.pixel(event), Math.exp(-event.deltaY * 0.0015));
+      },
+      { passive: false },
+    );
     canvas.addEventListener("keydown", (event) => this.key(event));
   }
 

@@ -35,9 +35,14 @@ const KEYS = [
 
 function help() {
   const dialog = document.getElementById("dialog");
-  fill(dialog,
+  fill(
+    dialog,
     el("h2", {}, "Keys"),
-    el("table", {}, KEYS.map(([key, does]) => el("tr", {}, el("td", {}, el("kbd", {}, key)), el("td", {}, does)))),
+    el(
+      "table",
+      {},
+      KEYS.map(([key, does]) => el("tr", {}, el("td", {}, el("kbd", {}, key)), el("td", {}, does))),
+    ),
     el("p", {}, el("button", { type: "button", onclick: () => dialog.close() }, "Close")),
   );
   dialog.showModal();
@@ -53,7 +58,13 @@ document.addEventListener("keydown", (event) => {
 
 try {
   const state = await ask("state");
-  const views = state.live ? [["Watch", new Watch(state)]] : [["Calibrate", new Calibrate(state)], ["Teach", new Teach(state)], ["Review", new Review(state)]];
+  const views = state.live
+    ? [["Watch", new Watch(state)]]
+    : [
+        ["Calibrate", new Calibrate(state)],
+        ["Teach", new Teach(state)],
+        ["Review", new Review(state)],
+      ];
   const buttons = views.map(([name, view]) => {
     const button = el("button", { type: "button", role: "tab", "aria-selected": "false" }, name);
     button.addEventListener("click", () => show(view, button));
@@ -67,4 +78,5 @@ try {
   main.replaceChildren(el("p", { class: "wait bad" }, error.message));
   complain(error);
 }
-if (!sessionStorage.getItem("catoptra-key")) say("This page has no key: open the whole address that the program printed.", true);
+if (!sessionStorage.getItem("catoptra-key"))
+  say("This page has no key: open the whole address that the program printed.", true);

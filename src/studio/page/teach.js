@@ -3,7 +3,11 @@
 import { ask, askPicture, choose, complain, el, fill, latest, onPage, overPicture, say, swatch } from "./common.js";
 import { Stage, label, outline } from "./stage.js";
 
-const USUAL = [["base", 6], ["coil", 12], ["tip", 6]];
+const USUAL = [
+  ["base", 6],
+  ["coil", 12],
+  ["tip", 6],
+];
 const percent = (share) => `${(share * 100).toFixed(1)} %`;
 // A class of other colours: where it is, and its mean.
 const other = (name) => name.replace(/, (\d+ \d+ \d+)$/, " (R G B $1)");
@@ -17,15 +21,34 @@ const tenth = (v) => Math.round(v * 10) / 10;
 export class Teach {
   constructor(state) {
     Object.assign(this, {
-      recording: state.recording, rig: state.rig, size: [4, 3], times: [], done: false, frame: 0, playing: false,
-      views: [], regions: new Map(), bands: USUAL.map(([name, length_mm]) => ({ name, length_mm })), now: 0,
-      picks: [], looks: new Map(), whole: null, masks: true, showRegions: true, view: "", asked: 0, chosen: {},
+      recording: state.recording,
+      rig: state.rig,
+      size: [4, 3],
+      times: [],
+      done: false,
+      frame: 0,
+      playing: false,
+      views: [],
+      regions: new Map(),
+      bands: USUAL.map(([name, length_mm]) => ({ name, length_mm })),
+      now: 0,
+      picks: [],
+      looks: new Map(),
+      whole: null,
+      masks: true,
+      showRegions: true,
+      view: "",
+      asked: 0,
+      chosen: {},
     });
-    this.stage = new Stage("The picture. Click on a band, or move the cross with Shift and the arrows and press Enter.", {
-      paint: (context, px) => this.paint(context, px),
-      click: (at) => this.pick(at).catch(complain),
-      grab: (at, reach) => this.grab(at, reach),
-    });
+    this.stage = new Stage(
+      "The picture. Click on a band, or move the cross with Shift and the arrows and press Enter.",
+      {
+        paint: (context, px) => this.paint(context, px),
+        click: (at) => this.pick(at).catch(complain),
+        grab: (at, reach) => this.grab(at, reach),
+      },
+    );
     this.build();
     this.load = latest((i) => this.showFrame(i));
     this.preview = latest(() => this.lookEverywhere());
@@ -47,65 +70,211 @@ export class Teach {
   }
 
   build() {
-    const opener = (title, kinds, open) => el("button", { type: "button", onclick: () => choose(title, kinds, (path) => open(path).catch(complain)) }, "Open …");
-    this.names = { recording: el("span", { class: "mono grow" }, this.recording ?? "none"), rig: el("span", { class: "mono grow" }, this.rig ?? "none") };
-    this.slider = el("input", { type: "range", min: 0, max: 0, value: 0, "aria-label": "Frame", oninput: () => this.go(Number(this.slider.value)) });
+    const opener = (title, kinds, open) =>
+      el(
+        "button",
+        { type: "button", onclick: () => choose(title, kinds, (path) => open(path).catch(complain)) },
+        "Open …",
+      );
+    this.names = {
+      recording: el("span", { class: "mono grow" }, this.recording ?? "none"),
+      rig: el("span", { class: "mono grow" }, this.rig ?? "none"),
+    };
+    this.slider = el("input", {
+      type: "range",
+      min: 0,
+      max: 0,
+      value: 0,
+      "aria-label": "Frame",
+      oninput: () => this.go(Number(this.slider.value)),
+    });
     this.at = el("span", { class: "mono", id: "at" }, "");
-    const jump = (by, text, name) => el("button", { type: "button", "aria-label": name, onclick: () => this.go(this.frame + by) }, text);
+    const jump = (by, text, name) =>
+      el("button", { type: "button", "aria-label": name, onclick: () => this.go(this.frame + by) }, text);
     this.playButton = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.play() }, "Play");
     this.viewChoice = el("select", { id: "view", onchange: () => (this.view = this.viewChoice.value) });
-    this.maskBox = el("input", { type: "checkbox", checked: true, onchange: () => { this.masks = this.maskBox.checked; this.closer(); this.stage.redraw(); } });
-    this.regionBox = el("input", { type: "checkbox", checked: true, onchange: () => { this.showRegions = this.regionBox.checked; this.stage.redraw(); } });
-    this.tube = el("input", { class: "short", id: "tube", type: "number", min: 0.1, step: 0.1, value: 3.2, oninput: () => this.changed() });
+    this.maskBox = el("input", {
+      type: "checkbox",
+      checked: true,
+      onchange: () => {
+        this.masks = this.maskBox.checked;
+        this.closer();
+        this.stage.redraw();
+      },
+    });
+    this.regionBox = el("input", {
+      type: "checkbox",
+      checked: true,
+      onchange: () => {
+        this.showRegions = this.regionBox.checked;
+        this.stage.redraw();
+      },
+    });
+    this.tube = el("input", {
+      class: "short",
+      id: "tube",
+      type: "number",
+      min: 0.1,
+      step: 0.1,
+      value: 3.2,
+      oninput: () => this.changed(),
+    });
     // As the rig has it, unless something else is said.
-    const optional = (id) => el("input", { class: "short", id, type: "number", min: 0.1, step: 0.1, placeholder: "–", oninput: () => this.changed() });
+    const optional = (id) =>
+      el("input", {
+        class: "short",
+        id,
+        type: "number",
+        min: 0.1,
+        step: 0.1,
+        placeholder: "–",
+        oninput: () => this.changed(),
+      });
     [this.rigid, this.exposure] = [optional("rigid"), optional("exposure")];
-    this.coil = el("select", { id: "coil", onchange: () => { this.chosen.coil = this.coil.value; this.changed(); } });
-    this.end = el("select", { id: "end", onchange: () => { this.chosen.end = this.end.value; this.changed(); } });
+    this.coil = el("select", {
+      id: "coil",
+      onchange: () => {
+        this.chosen.coil = this.coil.value;
+        this.changed();
+      },
+    });
+    this.end = el("select", {
+      id: "end",
+      onchange: () => {
+        this.chosen.end = this.end.value;
+        this.changed();
+      },
+    });
     this.bandList = el("div", { id: "bands" });
     this.near = el("div", { class: "closer" });
     this.told = el("div", { id: "told" });
     this.regionList = el("div", {});
-    this.out = el("input", { class: "grow", id: "out", value: this.rig ?? "", spellcheck: false, oninput: () => this.command() });
-    this.saveButton = el("button", { type: "button", class: "main", id: "save", onclick: () => this.save() }, "Learn and save");
+    this.out = el("input", {
+      class: "grow",
+      id: "out",
+      value: this.rig ?? "",
+      spellcheck: false,
+      oninput: () => this.command(),
+    });
+    this.saveButton = el(
+      "button",
+      { type: "button", class: "main", id: "save", onclick: () => this.save() },
+      "Learn and save",
+    );
     this.shown = el("pre", { id: "command" }, "");
     this.result = el("div", { id: "result", "aria-live": "polite" });
-    const left = el("div", { class: "left" },
+    const left = el(
+      "div",
+      { class: "left" },
       this.stage.element,
-      el("div", {},
+      el(
+        "div",
+        {},
         this.near,
-        el("div", { class: "row" },
-          jump(-10, "−10", "ten frames back"), jump(-1, "‹", "one frame back"), this.playButton, jump(1, "›", "one frame on"), jump(10, "+10", "ten frames on"),
-          this.slider, this.at),
-        el("div", { class: "row" },
+        el(
+          "div",
+          { class: "row" },
+          jump(-10, "−10", "ten frames back"),
+          jump(-1, "‹", "one frame back"),
+          this.playButton,
+          jump(1, "›", "one frame on"),
+          jump(10, "+10", "ten frames on"),
+          this.slider,
+          this.at,
+        ),
+        el(
+          "div",
+          { class: "row" },
           el("label", { for: "view" }, "Clicks are in view", this.viewChoice),
           el("label", {}, this.maskBox, "masks"),
           el("label", {}, this.regionBox, "regions (drag corners)"),
-          el("button", { type: "button", onclick: () => this.stage.zoomAt(this.stage.cross ?? this.stage.middle ?? this.size.map((v) => v / 2), 1.6) }, "zoom in"),
-          el("button", { type: "button", onclick: () => this.stage.reset() }, "whole picture"))));
-    const side = el("div", { class: "side" },
-      el("section", {},
-        el("div", { class: "row" }, el("b", {}, "Recording"), this.names.recording, opener("Recordings", ["recording"], (path) => this.openRecording(path))),
-        el("div", { class: "row" }, el("b", {}, "Rig"), this.names.rig, opener("Rig files", ["rig"], (path) => this.openRig(path)))),
-      el("section", {},
+          el(
+            "button",
+            {
+              type: "button",
+              onclick: () =>
+                this.stage.zoomAt(this.stage.cross ?? this.stage.middle ?? this.size.map((v) => v / 2), 1.6),
+            },
+            "zoom in",
+          ),
+          el("button", { type: "button", onclick: () => this.stage.reset() }, "whole picture"),
+        ),
+      ),
+    );
+    const side = el(
+      "div",
+      { class: "side" },
+      el(
+        "section",
+        {},
+        el(
+          "div",
+          { class: "row" },
+          el("b", {}, "Recording"),
+          this.names.recording,
+          opener("Recordings", ["recording"], (path) => this.openRecording(path)),
+        ),
+        el(
+          "div",
+          { class: "row" },
+          el("b", {}, "Rig"),
+          this.names.rig,
+          opener("Rig files", ["rig"], (path) => this.openRig(path)),
+        ),
+      ),
+      el(
+        "section",
+        {},
         el("h2", {}, "Bands, from the clamp to the tip"),
         this.bandList,
-        el("div", { class: "row" },
+        el(
+          "div",
+          { class: "row" },
           el("button", { type: "button", onclick: () => this.addBand() }, "Add a band"),
-          el("button", { type: "button", onclick: () => this.clear() }, "Clear all picks")),
-        el("div", { class: "row" },
+          el("button", { type: "button", onclick: () => this.clear() }, "Clear all picks"),
+        ),
+        el(
+          "div",
+          { class: "row" },
           el("label", { for: "tube" }, "Tube", this.tube, "mm"),
           el("label", { for: "coil" }, "Coil", this.coil),
-          el("label", { for: "end" }, "Ends the tube", this.end)),
-        el("div", { class: "row" },
-          el("label", { for: "rigid", title: "length of the stiff part around the middle of the coil, if longer than its band; empty: as the rig has it" }, "Stiff length at the coil", this.rigid, "mm"),
-          el("label", { for: "exposure", title: "empty: learned from the recording, where motion blur shows" }, "Exposure time", this.exposure, "ms"))),
+          el("label", { for: "end" }, "Ends the tube", this.end),
+        ),
+        el(
+          "div",
+          { class: "row" },
+          el(
+            "label",
+            {
+              for: "rigid",
+              title:
+                "length of the stiff part around the middle of the coil, if longer than its band; " +
+                  "empty: as the rig has it",
+            },
+            "Stiff length at the coil",
+            this.rigid,
+            "mm",
+          ),
+          el(
+            "label",
+            { for: "exposure", title: "empty: learned from the recording, where motion blur shows" },
+            "Exposure time",
+            this.exposure,
+            "ms",
+          ),
+        ),
+      ),
       el("section", {}, el("h2", {}, "What is seen"), this.told),
       el("section", {}, el("details", {}, el("summary", {}, "Regions of the views"), this.regionList)),
-      el("section", {},
+      el(
+        "section",
+        {},
         el("h2", {}, "Learn from the whole recording"),
         el("div", { class: "row" }, el("label", { class: "grow", for: "out" }, "into", this.out), this.saveButton),
-        this.shown, this.result));
+        this.shown,
+        this.result,
+      ),
+    );
     this.element = el("div", { class: "view" }, left, side);
     this.listBands();
     this.tell();
@@ -145,12 +314,17 @@ export class Teach {
     if (rig.tube_mm) this.tube.value = rig.tube_mm;
     [this.rigCoil, this.rigEnd, this.chosen] = [rig.coil, rig.end, {}];
     [this.rigRigid, this.rigid.value, this.exposure.value] = [rig.rigid_mm, rig.rigid_mm ?? "", ""];
-    fill(this.viewChoice, el("option", { value: "" }, "automatic"), ...this.views.map((v) => el("option", { value: v.name }, v.name)));
+    fill(
+      this.viewChoice,
+      el("option", { value: "" }, "automatic"),
+      ...this.views.map((v) => el("option", { value: v.name }, v.name)),
+    );
     this.view = "";
     this.clear();
     this.listBands();
     this.listRegions();
-    if (this.views.length) say(`${path}: views ${this.views.map((v) => v.name).join(", ")}. Click on band ${this.bands[0]?.name}.`);
+    if (this.views.length)
+      say(`${path}: views ${this.views.map((v) => v.name).join(", ")}. Click on band ${this.bands[0]?.name}.`);
     else say(`${path} has no views yet: calibrate them from pictures of a board`, true);
   }
 
@@ -192,7 +366,7 @@ export class Teach {
 
   key(event) {
     const by = event.ctrlKey ? 10 : 1;
-    if (event.shiftKey && event.key.startsWith("Arrow")) return this.stage.key(event), true;
+    if (event.shiftKey && event.key.startsWith("Arrow")) return (this.stage.key(event), true);
     if (event.target.closest("button, input") && [" ", "Enter"].includes(event.key)) return false;
     if (event.key === " ") this.play();
     else if (event.target.type === "range" && event.key.startsWith("Arrow")) return false;
@@ -219,11 +393,15 @@ export class Teach {
     const picked = this.picks.length ? this.picks[0].frame : this.frame;
     const usual = this.usual();
     return {
-      recording: this.recording, rig: this.rig, frame: picked, tube_mm: Number(this.tube.value),
+      recording: this.recording,
+      rig: this.rig,
+      frame: picked,
+      tube_mm: Number(this.tube.value),
       bands: this.bands.map(({ name, length_mm }) => ({ name, length_mm: Number(length_mm) })),
       coil: this.coil.value === usual.coil ? null : this.coil.value,
       end: this.end.value === usual.end ? null : this.end.value,
-      rigid_mm: number(this.rigid) === (this.rigRigid ?? null) ? null : number(this.rigid), exposure_ms: number(this.exposure),
+      rigid_mm: number(this.rigid) === (this.rigRigid ?? null) ? null : number(this.rigid),
+      exposure_ms: number(this.exposure),
       regions: [...this.regions].map(([view, corners]) => ({ view, corners: corners.map((c) => c.map(tenth)) })),
       picks: this.picks.map(({ band, view, x, y }) => ({ band, view, x, y })),
     };
@@ -304,36 +482,46 @@ export class Teach {
   closer() {
     const places = [];
     if (this.whole) {
-      for (const view of this.whole.views) view.bands.forEach((band, m) => {
-        const at = band.seen?.centre ?? middle(band.located);
-        if (at) places.push([`${band.name}, ${view.name}`, m, at, band.mask, band.seen?.outline ?? band.located]);
-      });
+      for (const view of this.whole.views)
+        view.bands.forEach((band, m) => {
+          const at = band.seen?.centre ?? middle(band.located);
+          if (at) places.push([`${band.name}, ${view.name}`, m, at, band.mask, band.seen?.outline ?? band.located]);
+        });
     } else {
       for (const [at, look] of this.looks) {
         const m = this.bands.findIndex((band) => band.name === at.split("@")[0]);
-        if (look.rectangle) places.push([`${at.split("@")[0]}, ${look.view}`, m, middle(look.rectangle), look.mask, look.rectangle]);
+        if (look.rectangle)
+          places.push([`${at.split("@")[0]}, ${look.view}`, m, middle(look.rectangle), look.mask, look.rectangle]);
       }
     }
-    fill(this.near, places.map(([name, m, at, mask, line]) => {
-      const canvas = el("canvas", { width: CLOSE * 2, height: CLOSE * 2, role: "img", "aria-label": `close-up of ${name}` });
-      const draw = () => {
-        const context = canvas.getContext("2d");
-        const scale = (CLOSE * 2) / CLOSE_PX;
-        context.setTransform(scale, 0, 0, scale, CLOSE - (at[0] + 0.5) * scale, CLOSE - (at[1] + 0.5) * scale);
-        context.imageSmoothingEnabled = false;
-        if (this.stage.picture) context.drawImage(this.stage.picture, 0, 0, this.size[0], this.size[1]);
-        context.translate(0.5, 0.5);
-        if (this.masks && mask) {
-          context.globalAlpha = 0.5;
-          context.fillStyle = overPicture(m);
-          for (const [y, from, to] of mask) context.fillRect(from - 0.5, y - 0.5, to - from, 1);
-          context.globalAlpha = 1;
-        }
-        outline(context, line, "#fff", 1.6 / scale);
-      };
-      draw();
-      return el("figure", {}, canvas, el("figcaption", {}, swatch(onPage(m)), name));
-    }));
+    fill(
+      this.near,
+      places.map(([name, m, at, mask, line]) => {
+        const canvas = el("canvas", {
+          width: CLOSE * 2,
+          height: CLOSE * 2,
+          role: "img",
+          "aria-label": `close-up of ${name}`,
+        });
+        const draw = () => {
+          const context = canvas.getContext("2d");
+          const scale = (CLOSE * 2) / CLOSE_PX;
+          context.setTransform(scale, 0, 0, scale, CLOSE - (at[0] + 0.5) * scale, CLOSE - (at[1] + 0.5) * scale);
+          context.imageSmoothingEnabled = false;
+          if (this.stage.picture) context.drawImage(this.stage.picture, 0, 0, this.size[0], this.size[1]);
+          context.translate(0.5, 0.5);
+          if (this.masks && mask) {
+            context.globalAlpha = 0.5;
+            context.fillStyle = overPicture(m);
+            for (const [y, from, to] of mask) context.fillRect(from - 0.5, y - 0.5, to - from, 1);
+            context.globalAlpha = 1;
+          }
+          outline(context, line, "#fff", 1.6 / scale);
+        };
+        draw();
+        return el("figure", {}, canvas, el("figcaption", {}, swatch(onPage(m)), name));
+      }),
+    );
   }
 
   addBand() {
@@ -363,7 +551,9 @@ export class Teach {
     const old = this.bands[i].name;
     this.bands[i].name = name;
     this.picks.forEach((pick) => pick.band === old && (pick.band = name));
-    this.looks = new Map([...this.looks].map(([at, look]) => [at.startsWith(`${old}@`) ? name + at.slice(old.length) : at, look]));
+    this.looks = new Map(
+      [...this.looks].map(([at, look]) => [at.startsWith(`${old}@`) ? name + at.slice(old.length) : at, look]),
+    );
     this.roles();
     this.changed();
   }
@@ -372,7 +562,7 @@ export class Teach {
   usual() {
     const names = this.bands.map((band) => band.name);
     return {
-      coil: this.rigCoil ?? (names.includes("coil") ? "coil" : names[1] ?? names[0]),
+      coil: this.rigCoil ?? (names.includes("coil") ? "coil" : (names[1] ?? names[0])),
       end: this.rigEnd ?? names.at(-1),
     };
   }
@@ -395,57 +585,176 @@ export class Teach {
     if (bad) return [bad.error, true];
     const seen = this.whole?.views.map((view) => [view.name, view.bands.find((b) => b.name === band.name)]);
     if (!seen) return [own.map((pick) => `picked at ${pick.x},${pick.y} in ${pick.view}`).join("; "), false];
-    const parts = seen.map(([name, b]) => (b.seen ? `${name} σ ${b.seen.sd_px.toFixed(2)} px` : `${name}: ${b.miss ?? "not found"}`));
+    const parts = seen.map(([name, b]) =>
+      b.seen ? `${name} σ ${b.seen.sd_px.toFixed(2)} px` : `${name}: ${b.miss ?? "not found"}`,
+    );
     const at = this.whole.positions?.[this.bands.indexOf(band)];
     if (at?.sd_mm) parts.push(`in space σ ${at.sd_mm.toFixed(3)} mm`);
     return [parts.join("; "), seen.some(([, b]) => !b.seen)];
   }
 
   listBands() {
-    fill(this.bandList, ...this.bands.map((band, i) => {
-      const [what, bad] = this.state(band);
-      const tool = (text, name, does) => el("button", { type: "button", "aria-label": `${name} ${band.name}`, title: name, onclick: does }, text);
-      return el("div", { class: i === this.now ? "band now" : "band" },
-        el("button", { type: "button", class: "number", "aria-pressed": String(i === this.now), "aria-label": `pick ${band.name}`, onclick: () => this.select(i) }, String(i + 1)),
-        el("input", { value: band.name, "aria-label": `name of band ${i + 1}`, spellcheck: false, onchange: (e) => this.rename(i, e.target.value) }),
-        el("label", {}, el("input", { type: "number", min: 0.1, step: 0.5, value: band.length_mm, "aria-label": `length of ${band.name} in mm`, onchange: (e) => { band.length_mm = e.target.value; this.changed(); } }), "mm"),
-        el("span", { class: "tools" }, tool("↑", "up", () => this.move(i, -1)), tool("↓", "down", () => this.move(i, 1)), tool("×", "remove", () => this.remove(i))),
-        el("div", { class: bad ? "what bad" : "what" }, swatch(onPage(i)), what));
-    }));
+    fill(
+      this.bandList,
+      ...this.bands.map((band, i) => {
+        const [what, bad] = this.state(band);
+        const tool = (text, name, does) =>
+          el("button", { type: "button", "aria-label": `${name} ${band.name}`, title: name, onclick: does }, text);
+        return el(
+          "div",
+          { class: i === this.now ? "band now" : "band" },
+          el(
+            "button",
+            {
+              type: "button",
+              class: "number",
+              "aria-pressed": String(i === this.now),
+              "aria-label": `pick ${band.name}`,
+              onclick: () => this.select(i),
+            },
+            String(i + 1),
+          ),
+          el("input", {
+            value: band.name,
+            "aria-label": `name of band ${i + 1}`,
+            spellcheck: false,
+            onchange: (e) => this.rename(i, e.target.value),
+          }),
+          el(
+            "label",
+            {},
+            el("input", {
+              type: "number",
+              min: 0.1,
+              step: 0.5,
+              value: band.length_mm,
+              "aria-label": `length of ${band.name} in mm`,
+              onchange: (e) => {
+                band.length_mm = e.target.value;
+                this.changed();
+              },
+            }),
+            "mm",
+          ),
+          el(
+            "span",
+            { class: "tools" },
+            tool("↑", "up", () => this.move(i, -1)),
+            tool("↓", "down", () => this.move(i, 1)),
+            tool("×", "remove", () => this.remove(i)),
+          ),
+          el("div", { class: bad ? "what bad" : "what" }, swatch(onPage(i)), what),
+        );
+      }),
+    );
     this.roles();
   }
 
   /** What the clicks show, in words. */
   tell() {
     const rows = [];
-    const row = (name, view, exposure, worst) => rows.push(el("tr", {},
-      el("td", {}, name), el("td", {}, view),
-      el("td", { class: exposure?.advice ? "bad" : "" }, exposure ? exposure.advice ?? `fine, brightest ${exposure.level.toFixed(0)} of 255` : "–"),
-      el("td", { class: worst?.verdict === "TOO ALIKE" ? "bad" : "" }, worst ? `${worst.verdict}: ${percent(worst.hits)} found, ${percent(worst.mistaken)} of ${other(worst.other)} taken for it` : "–")));
+    const row = (name, view, exposure, worst) =>
+      rows.push(
+        el(
+          "tr",
+          {},
+          el("td", {}, name),
+          el("td", {}, view),
+          el(
+            "td",
+            { class: exposure?.advice ? "bad" : "" },
+            exposure ? (exposure.advice ?? `fine, brightest ${exposure.level.toFixed(0)} of 255`) : "–",
+          ),
+          el(
+            "td",
+            { class: worst?.verdict === "TOO ALIKE" ? "bad" : "" },
+            worst
+              ? `${worst.verdict}: ${percent(worst.hits)} found, ` +
+                `${percent(worst.mistaken)} of ${other(worst.other)} taken for it`
+              : "–",
+          ),
+        ),
+      );
     if (this.whole) {
-      for (const view of this.whole.views) for (const band of view.bands) row(band.name, view.name, band.exposure, band.separations?.[0]);
+      for (const view of this.whole.views)
+        for (const band of view.bands) row(band.name, view.name, band.exposure, band.separations?.[0]);
     } else {
-      for (const [at, look] of this.looks) if (!look.error) row(at.split("@")[0], look.view, look.exposure, look.separations[0]);
+      for (const [at, look] of this.looks)
+        if (!look.error) row(at.split("@")[0], look.view, look.exposure, look.separations[0]);
     }
     const parts = [];
-    if (!rows.length) parts.push(el("p", { class: "quiet" }, "Choose a band, click on it in any view. What is taken for it shows at once; when all are picked, they are measured in all views."));
+    if (!rows.length)
+      parts.push(
+        el(
+          "p",
+          { class: "quiet" },
+          "Choose a band, click on it in any view. What is taken for it shows at once; " +
+            "when all are picked, they are measured in all views.",
+        ),
+      );
     const look = [...this.looks.values()].at(-1);
     if (!this.whole && look?.blob) {
       const { blob } = look;
-      parts.push(el("p", {}, `Patch of its colour: ${blob.length_px.toFixed(1)} × ${blob.width_px.toFixed(1)} px, centre ${blob.centre[0].toFixed(2)}, ${blob.centre[1].toFixed(2)}, σ ${blob.sd_px.toFixed(2)} px. Contrast ${look.contrast.toFixed(1)}.`));
+      parts.push(
+        el(
+          "p",
+          {},
+          `Patch of its colour: ${blob.length_px.toFixed(1)} × ${blob.width_px.toFixed(1)} px, ` +
+            `centre ${blob.centre[0].toFixed(2)}, ${blob.centre[1].toFixed(2)}, σ ${blob.sd_px.toFixed(2)} px. ` +
+            `Contrast ${look.contrast.toFixed(1)}.`,
+        ),
+      );
     }
-    if (rows.length) parts.push(el("table", {}, el("tr", {}, ["Band", "View", "Brightness", "Colour (threshold 0.5)"].map((t) => el("th", {}, t))), rows));
+    if (rows.length)
+      parts.push(
+        el(
+          "table",
+          {},
+          el(
+            "tr",
+            {},
+            ["Band", "View", "Brightness", "Colour (threshold 0.5)"].map((t) => el("th", {}, t)),
+          ),
+          rows,
+        ),
+      );
     const others = this.whole?.blobs.filter((blob) => blob.rejected) ?? [];
     if (others.length) {
-      parts.push(el("h2", {}, "Not the bands"), el("ul", {}, others.slice(0, 12).map((blob) =>
-        el("li", {}, `colour of ${blob.band} in ${blob.view} at ${blob.bounds[0]},${blob.bounds[1]}: ${blob.rejected}`))));
+      parts.push(
+        el("h2", {}, "Not the bands"),
+        el(
+          "ul",
+          {},
+          others
+            .slice(0, 12)
+            .map((blob) =>
+              el(
+                "li",
+                {},
+                `colour of ${blob.band} in ${blob.view} at ${blob.bounds[0]},${blob.bounds[1]}: ${blob.rejected}`,
+              ),
+            ),
+        ),
+      );
       if (others.length > 12) parts.push(el("p", { class: "quiet" }, `and ${others.length - 12} more`));
     }
     for (const region of this.whole?.regions ?? []) {
       const [[x0, y0], [x1, y1]] = region.corners;
-      const corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
-      parts.push(el("p", {}, `A smaller region of ${region.view}, which must still hold the whole motion, leaves out ${region.leaves_out} of them. `,
-        el("button", { type: "button", onclick: () => this.setRegion(region.view, corners) }, "Take it")));
+      const corners = [
+        [x0, y0],
+        [x1, y0],
+        [x1, y1],
+        [x0, y1],
+      ];
+      parts.push(
+        el(
+          "p",
+          {},
+          `A smaller region of ${region.view}, which must still hold the whole motion, ` +
+            `leaves out ${region.leaves_out} of them. `,
+          el("button", { type: "button", onclick: () => this.setRegion(region.view, corners) }, "Take it"),
+        ),
+      );
     }
     fill(this.told, ...parts);
   }
@@ -478,20 +787,58 @@ export class Teach {
   }
 
   listRegions() {
-    fill(this.regionList, ...this.views.map((view) => {
-      const corners = this.region(view);
-      const text = corners.map((c) => c.map(tenth).join(",")).join(" ");
-      const input = el("input", { class: "mono grow", value: text, spellcheck: false, "aria-label": `corners of ${view.name}`, placeholder: "x,y x,y x,y …", onchange: () => {
-        const read = input.value.trim().split(/\s+/).map((c) => c.split(",").map(Number));
-        if (read.length < 3 || read.some((c) => c.length !== 2 || c.some(Number.isNaN))) return say("A region is three corners or more: x,y x,y x,y", true);
-        this.setRegion(view.name, read);
-      } });
-      const [w, h] = this.size;
-      const draw = () => this.setRegion(view.name, [[0, 0], [w - 1, 0], [w - 1, h - 1], [0, h - 1]]);
-      return el("div", { class: "row" }, el("b", {}, view.name), input,
-        corners.length ? null : el("button", { type: "button", onclick: draw }, "Draw"),
-        this.regions.has(view.name) ? el("button", { type: "button", onclick: () => { this.regions.delete(view.name); this.listRegions(); this.changed(); } }, "As it was") : null);
-    }));
+    fill(
+      this.regionList,
+      ...this.views.map((view) => {
+        const corners = this.region(view);
+        const text = corners.map((c) => c.map(tenth).join(",")).join(" ");
+        const input = el("input", {
+          class: "mono grow",
+          value: text,
+          spellcheck: false,
+          "aria-label": `corners of ${view.name}`,
+          placeholder: "x,y x,y x,y …",
+          onchange: () => {
+            const read = input.value
+              .trim()
+              .split(/\s+/)
+              .map((c) => c.split(",").map(Number));
+            if (read.length < 3 || read.some((c) => c.length !== 2 || c.some(Number.isNaN)))
+              return say("A region is three corners or more: x,y x,y x,y", true);
+            this.setRegion(view.name, read);
+          },
+        });
+        const [w, h] = this.size;
+        const draw = () =>
+          this.setRegion(view.name, [
+            [0, 0],
+            [w - 1, 0],
+            [w - 1, h - 1],
+            [0, h - 1],
+          ]);
+        return el(
+          "div",
+          { class: "row" },
+          el("b", {}, view.name),
+          input,
+          corners.length ? null : el("button", { type: "button", onclick: draw }, "Draw"),
+          this.regions.has(view.name)
+            ? el(
+                "button",
+                {
+                  type: "button",
+                  onclick: () => {
+                    this.regions.delete(view.name);
+                    this.listRegions();
+                    this.changed();
+                  },
+                },
+                "As it was",
+              )
+            : null,
+        );
+      }),
+    );
   }
 
   paint(context, px) {
@@ -525,12 +872,29 @@ export class Teach {
           if (!band.seen) return;
           outline(context, band.seen.outline, overPicture(m), 2 * px);
           const [cx, cy] = band.seen.centre;
-          label(context, `${band.name} σ ${band.seen.sd_px.toFixed(2)}`, [cx + 22 * px, cy + 5 * px], overPicture(m), px);
+          label(
+            context,
+            `${band.name} σ ${band.seen.sd_px.toFixed(2)}`,
+            [cx + 22 * px, cy + 5 * px],
+            overPicture(m),
+            px,
+          );
         });
       }
       for (const blob of this.whole.blobs.filter((b) => b.rejected)) {
         const [x0, y0, x1, y1] = blob.bounds;
-        outline(context, [[x0 - 1, y0 - 1], [x1, y0 - 1], [x1, y1], [x0 - 1, y1]], overPicture(Math.max(0, of(blob.band))), 1.2 * px, [4 * px, 3 * px]);
+        outline(
+          context,
+          [
+            [x0 - 1, y0 - 1],
+            [x1, y0 - 1],
+            [x1, y1],
+            [x0 - 1, y1],
+          ],
+          overPicture(Math.max(0, of(blob.band))),
+          1.2 * px,
+          [4 * px, 3 * px],
+        );
       }
     } else {
       for (const [at, look] of this.looks) {
@@ -549,8 +913,10 @@ export class Teach {
       context.strokeStyle = overPicture(Math.max(0, of(band)));
       context.lineWidth = 1.5 * px;
       context.beginPath();
-      context.moveTo(x - 6 * px, y); context.lineTo(x + 6 * px, y);
-      context.moveTo(x, y - 6 * px); context.lineTo(x, y + 6 * px);
+      context.moveTo(x - 6 * px, y);
+      context.lineTo(x + 6 * px, y);
+      context.moveTo(x, y - 6 * px);
+      context.lineTo(x, y + 6 * px);
       context.stroke();
     }
   }
@@ -570,7 +936,8 @@ export class Teach {
   async save() {
     this.saveButton.disabled = true;
     const began = performance.now();
-    const busy = () => say(`Learning from the whole recording … ${((performance.now() - began) / 1000).toFixed(0)} s`);
+    const passed_s = () => ((performance.now() - began) / 1000).toFixed(0);
+    const busy = () => say(`Learning from the whole recording … ${passed_s()} s`);
     busy();
     const clock = setInterval(busy, 1000);
     fill(this.result, el("p", { class: "quiet" }, "Learning from the whole recording …"));
@@ -578,12 +945,27 @@ export class Teach {
       const done = await ask("teach/save", { form: this.form(), out: this.out.value, dry: false });
       clearInterval(clock);
       const good = done.told.code === 0;
-      fill(this.result,
+      fill(
+        this.result,
         el("p", { class: good ? "good" : "bad" }, good ? `Saved: ${done.out}` : done.told.error),
-        done.told.warnings.length ? el("ul", {}, done.told.warnings.map((w) => el("li", {}, w))) : null,
-        good ? el("p", { class: "quiet" }, `Next: catoptra track ${this.recording} --rig ${done.out} (with --frame camera where the rig has no base frame)`) : null,
+        done.told.warnings.length
+          ? el(
+              "ul",
+              {},
+              done.told.warnings.map((w) => el("li", {}, w)),
+            )
+          : null,
+        good
+          ? el(
+              "p",
+              { class: "quiet" },
+              `Next: catoptra track ${this.recording} --rig ${done.out} ` +
+                `(with --frame camera where the rig has no base frame)`,
+            )
+          : null,
         done.page ? el("p", { class: "quiet" }, `What was seen, as a page: ${done.page}`) : null,
-        done.told.text ? el("pre", {}, done.told.text.trim()) : null);
+        done.told.text ? el("pre", {}, done.told.text.trim()) : null,
+      );
       this.result.dataset.code = done.told.code;
       say(good ? `Saved: ${done.out}` : done.told.error, !good);
     } catch (error) {

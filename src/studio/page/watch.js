@@ -15,32 +15,91 @@ const AXES = ["x", "y", "z"];
 export class Watch {
   constructor(state) {
     this.live = state.live;
-    Object.assign(this, { rows: [], currents: [], after: null, currentsAfter: null, seq: null, bands: [], there: false, paused: false });
+    Object.assign(this, {
+      rows: [],
+      currents: [],
+      after: null,
+      currentsAfter: null,
+      seq: null,
+      bands: [],
+      there: false,
+      paused: false,
+    });
     this.shared = { from: 0, to: SECONDS, cursor: null };
     this.theta = new Plot("θ of the last seconds with its σ", "θ (°)", this.shared);
-    this.tip = new Plot("Place of the tip in the last seconds", `tip (mm, ${this.live.in_base ? "base" : "camera"} frame)`, this.shared);
+    this.tip = new Plot(
+      "Place of the tip in the last seconds",
+      `tip (mm, ${this.live.in_base ? "base" : "camera"} frame)`,
+      this.shared,
+    );
     this.coils = new Plot("Currents of the coils in the last seconds", "currents (A)", this.shared);
     for (const plot of [this.tip, this.coils]) plot.element.classList.add("low");
     this.coils.element.hidden = true;
-    this.stage = new Stage("The live picture with outlines of the bands.", { paint: (context, px) => this.paint(context, px) });
+    this.stage = new Stage("The live picture with outlines of the bands.", {
+      paint: (context, px) => this.paint(context, px),
+    });
     this.big = el("div", { class: "big", id: "theta" }, "θ –");
     this.figures = el("div", { class: "figures" });
     this.alarms = el("div", { id: "alarms", "aria-live": "assertive" });
-    this.pause = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.hold() }, "Hold the picture");
+    this.pause = el(
+      "button",
+      { type: "button", "aria-pressed": "false", onclick: () => this.hold() },
+      "Hold the picture",
+    );
     const { source, folder, hows } = this.live;
-    this.record = el("button", { type: "button", id: "record", "aria-pressed": "false", onclick: () => this.turn() }, "Record pictures");
-    const how = { windows: "parts around the bands, into the log", ffv1: "whole, without loss (large)", h264: "whole, H.264" };
-    this.how = el("select", { id: "how", "aria-label": "how pictures are recorded" }, (hows ?? []).map((word) => el("option", { value: word }, `${word}: ${how[word] ?? ""}`)));
+    this.record = el(
+      "button",
+      { type: "button", id: "record", "aria-pressed": "false", onclick: () => this.turn() },
+      "Record pictures",
+    );
+    const how = {
+      windows: "parts around the bands, into the log",
+      ffv1: "whole, without loss (large)",
+      h264: "whole, H.264",
+    };
+    this.how = el(
+      "select",
+      { id: "how", "aria-label": "how pictures are recorded" },
+      (hows ?? []).map((word) => el("option", { value: word }, `${word}: ${how[word] ?? ""}`)),
+    );
     this.recorded = el("div", { id: "recorded", "aria-live": "polite" });
-    this.element = el("div", { class: "view watch" },
-      el("div", { class: "left" }, this.stage.element,
-        el("div", {}, this.theta.element, this.tip.element,
-          el("div", { class: "legend" }, AXES.map((axis, k) => el("span", {}, swatch(onPage(k)), `tip ${axis}`))), this.coils.element)),
-      el("div", { class: "side" },
+    this.element = el(
+      "div",
+      { class: "view watch" },
+      el(
+        "div",
+        { class: "left" },
+        this.stage.element,
+        el(
+          "div",
+          {},
+          this.theta.element,
+          this.tip.element,
+          el(
+            "div",
+            { class: "legend" },
+            AXES.map((axis, k) => el("span", {}, swatch(onPage(k)), `tip ${axis}`)),
+          ),
+          this.coils.element,
+        ),
+      ),
+      el(
+        "div",
+        { class: "side" },
         el("section", {}, el("div", { class: "quiet" }, `${source} into ${folder}`), this.big, this.pause),
-        hows ? el("section", {}, el("h2", {}, "Recording of pictures"), el("div", { class: "row" }, this.record, this.how), this.recorded) : null,
+        hows
+          ? el(
+              "section",
+              {},
+              el("h2", {}, "Recording of pictures"),
+              el("div", { class: "row" }, this.record, this.how),
+              this.recorded,
+            )
+          : null,
         el("section", {}, el("h2", {}, "Status"), this.figures),
-        el("section", {}, el("h2", {}, "Alarms"), this.alarms)));
+        el("section", {}, el("h2", {}, "Alarms"), this.alarms),
+      ),
+    );
     this.begun = false;
   }
 
@@ -82,9 +141,19 @@ export class Watch {
     const said = [state.on ? "on" : "off", places, counts, state.problem].join();
     if (said === this.recordingSaid) return;
     this.recordingSaid = said;
-    fill(this.recorded,
-      el("p", { class: "quiet" }, state.on ? `Recording into ${state.places.at(-1) ?? "…"}. ${counts}` : places ? `Not recording. Recorded so far: ${places}. ${counts}` : "Not recording."),
-      state.problem ? el("p", { class: "bad" }, state.problem) : null);
+    fill(
+      this.recorded,
+      el(
+        "p",
+        { class: "quiet" },
+        state.on
+          ? `Recording into ${state.places.at(-1) ?? "…"}. ${counts}`
+          : places
+            ? `Not recording. Recorded so far: ${places}. ${counts}`
+            : "Not recording.",
+      ),
+      state.problem ? el("p", { class: "bad" }, state.problem) : null,
+    );
   }
 
   hold() {
@@ -149,44 +218,95 @@ export class Watch {
     Object.assign(this.shared, { from: -SECONDS, to: 0 });
     const missed = x.filter((_, i) => !this.rows[i].theta_deg);
     const gaps = x.filter((_, i) => this.rows[i].gap > 0);
-    this.theta.set([{ x, y: this.rows.map((row) => row.theta_deg?.[0] ?? null), sd: this.rows.map((row) => row.theta_deg?.[1] ?? 0), colour: css("--m3") }],
-      [{ x: missed, colour: css("--miss"), shape: "tick" }, { x: gaps, colour: css("--gap"), shape: "flag" }]);
-    this.tip.set(AXES.map((_, k) => ({ x, y: this.rows.map((row) => row.tip_mm?.[k] ?? null), colour: onPage(k), dash: [[], [5, 3], [2, 3]][k] })));
+    this.theta.set(
+      [
+        {
+          x,
+          y: this.rows.map((row) => row.theta_deg?.[0] ?? null),
+          sd: this.rows.map((row) => row.theta_deg?.[1] ?? 0),
+          colour: css("--m3"),
+        },
+      ],
+      [
+        { x: missed, colour: css("--miss"), shape: "tick" },
+        { x: gaps, colour: css("--gap"), shape: "flag" },
+      ],
+    );
+    this.tip.set(
+      AXES.map((_, k) => ({
+        x,
+        y: this.rows.map((row) => row.tip_mm?.[k] ?? null),
+        colour: onPage(k),
+        dash: [[], [5, 3], [2, 3]][k],
+      })),
+    );
     this.coils.element.hidden = !(this.currents.length && shift !== null);
     if (!this.coils.element.hidden) {
       this.currents = this.currents.filter((sample) => sample.host_s + shift > last.t_s - SECONDS - 1);
       const times = this.currents.map((sample) => sample.host_s + shift - origin);
       const coils = Math.max(0, ...this.currents.map((sample) => sample.a.length));
-      this.coils.set([...Array(coils).keys()].map((k) => ({ x: times, y: this.currents.map((sample) => sample.a[k] ?? null), colour: onPage(k), dash: [[], [5, 3], [2, 3]][k % 3] })));
+      this.coils.set(
+        [...Array(coils).keys()].map((k) => ({
+          x: times,
+          y: this.currents.map((sample) => sample.a[k] ?? null),
+          colour: onPage(k),
+          dash: [[], [5, 3], [2, 3]][k % 3],
+        })),
+      );
     }
     // What was measured long ago is not the angle now.
     const silent = status.silent_s === null ? null : `no frame for ${status.silent_s.toFixed(0)} s`;
     const now = silent === null ? last.theta_deg : null;
-    this.big.textContent = now ? `θ ${now[0].toFixed(2)}° ± ${now[1].toFixed(2)}` : `θ – ${silent ?? last.status}`;
+    const [theta, sd] = now ?? [];
+    this.big.textContent = now ? `θ ${theta.toFixed(2)}° ± ${sd.toFixed(2)}` : `θ – ${silent ?? last.status}`;
     this.big.classList.toggle("bad", !now);
     this.element.dataset.seq = last.seq;
     const ms = (v) => `${v.toFixed(2)} ms`;
     const figures = [
-      [status.frames, "frames"], [`${status.rate} / s`, "in the last second"], [status.lost, "lost by the camera"], [status.skipped, "passed over"],
-      [ms(status.p50_ms), "arrival to θ, median"], [ms(status.p99_ms), "99 of 100 within"], [ms(status.max_ms), "longest"],
-      [missed.length, `without θ in ${SECONDS} s`], [status.backlog, "rows wait for the disk"],
+      [status.frames, "frames"],
+      [`${status.rate} / s`, "in the last second"],
+      [status.lost, "lost by the camera"],
+      [status.skipped, "passed over"],
+      [ms(status.p50_ms), "arrival to θ, median"],
+      [ms(status.p99_ms), "99 of 100 within"],
+      [ms(status.max_ms), "longest"],
+      [missed.length, `without θ in ${SECONDS} s`],
+      [status.backlog, "rows wait for the disk"],
     ];
     if (status.unlogged) figures.push([status.unlogged, "rows not logged"]);
     if (status.not_shown) figures.push([status.not_shown, "rows only in the log"]);
-    fill(this.figures, ...figures.map(([value, name]) => el("div", {}, el("b", {}, String(value)), el("span", {}, name))));
-    const words = status.alarms.filter((alarm) => alarm.over_s === null).map((alarm) => `${alarm.what}\n${alarm.advice}`);
-    const over = status.alarms.filter((alarm) => alarm.over_s !== null)
+    fill(
+      this.figures,
+      ...figures.map(([value, name]) => el("div", {}, el("b", {}, String(value)), el("span", {}, name))),
+    );
+    const words = status.alarms
+      .filter((alarm) => alarm.over_s === null)
+      .map((alarm) => `${alarm.what}\n${alarm.advice}`);
+    const over = status.alarms
+      .filter((alarm) => alarm.over_s !== null)
       .map((alarm) => `over, from ${alarm.t_s.toFixed(1)} s to ${alarm.over_s.toFixed(1)} s: ${alarm.what}`);
-    if (silent) words.push("no frames come\nLook at the camera, its cable or the sender of the stream; the run waits for them");
-    if (status.skipped) words.push("frames are passed over: the tracker does not keep up\nEnd other programs, use a smaller picture or a lower frame rate; each frame has its row all the same");
-    if (status.unlogged) words.push("rows cannot be written\nThe disk is full or too slow: free some of it, or write elsewhere with -o");
+    if (silent)
+      words.push("no frames come\nLook at the camera, its cable or the sender of the stream; the run waits for them");
+    if (status.skipped)
+      words.push(
+        "frames are passed over: the tracker does not keep up\n" +
+          "End other programs, use a smaller picture or a lower frame rate; each frame has its row all the same",
+      );
+    if (status.unlogged)
+      words.push("rows cannot be written\nThe disk is full or too slow: free some of it, or write elsewhere with -o");
     const said = [...words, ...over].join();
     if (said === this.said) return;
     this.said = said;
-    fill(this.alarms, ...(words.length ? words.map((word) => {
-      const [what, cure] = word.split("\n");
-      return el("div", { class: "alarm" }, el("b", {}, what), el("div", {}, cure));
-    }) : [el("p", { class: "good" }, "None.")]), ...over.map((word) => el("p", { class: "quiet" }, word)));
+    fill(
+      this.alarms,
+      ...(words.length
+        ? words.map((word) => {
+            const [what, cure] = word.split("\n");
+            return el("div", { class: "alarm" }, el("b", {}, what), el("div", {}, cure));
+          })
+        : [el("p", { class: "good" }, "None.")]),
+      ...over.map((word) => el("p", { class: "quiet" }, word)),
+    );
   }
 
   paint(context, px) {
