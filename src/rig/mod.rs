@@ -23,6 +23,7 @@ mod write;
 
 pub use error::RigError;
 pub(crate) use error::nearest;
+pub(crate) use validate::longest_stiff_m;
 pub(crate) use walk::walk;
 
 use crate::optics::{Lens, OpticalPath, Surface};

@@ -70,6 +70,8 @@ const GAMMAS: std::ops::RangeInclusive<f64> = 0.2..=1.5;
 const FARTHEST_MM: f64 = 1e5;
 /// A wider tube is a slip of the units; pictures of bands of any width cannot be made.
 const WIDEST_TUBE_MM: f64 = 1e3;
+/// Longer than the stiff part of any catheter that is steered by a coil on it, metres.
+const LONGEST_STIFF_M: f64 = 0.1;
 /// Largest weight of 8-bit samples that can be computed with; learned ones are below 1.
 const LARGEST_WEIGHT: f64 = 1e3;
 /// Most corners of a region: more do not help and take long.
@@ -469,6 +471,11 @@ impl Check<'_> {
         }
         if let Some(rigid) = raw.rigid_mm {
             self.positive("catheter.rigid_mm", rigid)?;
+            let most_mm = longest_stiff_m(markers, coil) * 1e3;
+            if rigid > most_mm {
+                let expected = format!("at most {most_mm:.0}: the stiff part around the middle of the coil");
+                return Err(self.value("catheter.rigid_mm", rigid, expected));
+            }
         }
         Ok(Catheter { diameter_m: raw.diameter_mm / 1e3, coil, end, rigid_m: raw.rigid_mm.map(|v| v / 1e3) })
     }
@@ -495,6 +502,14 @@ impl Check<'_> {
             gravity: raw.gravity.map(|g| self.unit("base.gravity", g)).transpose()?,
         })
     }
+}
+
+/// The longest stiff part around the middle of the coil that a tube can have, metres: it does not reach the first band,
+/// where the tube is held.
+pub(crate) fn longest_stiff_m(markers: &[Marker], coil: usize) -> f64 {
+    let centre_m = |marker: usize| markers.get(marker)?.centre_m;
+    let held = (coil > 0).then(|| centre_m(0).zip(centre_m(coil))).flatten();
+    held.map_or(LONGEST_STIFF_M, |(held_m, coil_m)| LONGEST_STIFF_M.min(2.0 * (coil_m - held_m).abs()))
 }
 
 /// "a surface of this file, did you mean ...?"

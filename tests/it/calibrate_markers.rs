@@ -262,6 +262,10 @@ fn the_stiff_part_that_was_given_is_in_the_rig() {
     let picks = ["--rigid", "15mm", "--pick", BASE, "--pick", COIL, "--pick", TIP];
     ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 0);
     assert_eq!(Rig::load(&bench.learned()).unwrap().catheter.rigid_m, Some(0.015));
+    // Longer than what is left of the tube, before any frame is read.
+    let picks = ["--rigid", "14cm", "--pick", BASE, "--pick", COIL, "--pick", TIP];
+    let said = ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 2);
+    assert!(said.contains("--rigid 140.0 mm: expected at most 100 mm"), "{said}");
 }
 
 #[test]

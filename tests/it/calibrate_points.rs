@@ -140,3 +140,32 @@ fn what_is_wrong_in_a_table_is_named_with_its_line() {
     let (code, both) = refused(&good, &["--board", "9x6:12mm"]);
     assert!(code == 2 && both.contains("cannot be used with"), "{both}");
 }
+
+#[test]
+fn a_left_handed_frame_is_told() {
+    let mirrored: Vec<Point3<f64>> = frame().into_iter().map(|p| Point3::new(p.x, -p.y, p.z)).collect();
+    // What the views show is the true frame; the table's coordinates have one sign wrong.
+    let table = table(&frame(), 10, true);
+    let (header, rows) = table.split_once('\n').unwrap();
+    let mut text = header.to_owned() + "\n";
+    for (k, row) in rows.lines().enumerate() {
+        let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
+        cells[5] = format!("{:.4}", mirrored[k % mirrored.len()].y * 1e3);
+        text += &(cells.join(",") + "\n");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let output = calibrate(folder.path(), &text, &[]);
+    assert!(!output.status.success());
+    assert!(said(&output).contains("left-handed"), "{}", said(&output));
+}
+
+#[test]
+fn points_on_one_line_and_too_few_points_are_told() {
+    let line: Vec<Point3<f64>> = (0..6).map(|x| Point3::new(0.01 * f64::from(x), 0.0, 0.0)).collect();
+    for (places, words) in [(line, "lie on one line"), (plate()[..3].to_vec(), "3 points in a view, at least 4")] {
+        let folder = tempfile::tempdir().unwrap();
+        let output = calibrate(folder.path(), &table(&places, 5, false), &[]);
+        assert_eq!(output.status.code(), Some(3), "{}", said(&output));
+        assert!(said(&output).contains(words), "{}", said(&output));
+    }
+}

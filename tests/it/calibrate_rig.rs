@@ -199,6 +199,10 @@ fn bad_input_is_named() {
     let [a, b, c] = ["00.png", "04.png", "08.png"].map(|name| format!("{}/{name}", sample("mirror")));
     refused(3, "in 1 mirror, expected 2", &rig(&[&a, &b, &c, "--glass", "5mm", "--mirrors", "2"]));
     refused(2, "--glass <5mm>", &rig(&[&sample("mirror"), "--tank", "254x254x267mm"]));
+    let tank =
+        |size: &str| rig(&[&sample("mirror"), "--tank", size, "--glass", "5mm", "--distance", "front_wall=1264mm:2mm"]);
+    refused(3, "behind the front of front_wall, and the tank is 100 mm deep", &tank("254x100x267mm"));
+    refused(3, "along front_wall, and the tank is 100 mm along its diagonal", &tank("80x254x60mm"));
     refused(2, "expected 0 to 50", &rig(&[&sample("mirror"), "--glass", "5mm", "--temperature", "99"]));
     refused(2, "no surface `wall`", &rig(&[&a, &b, &c, "--glass", "5mm", "--distance", "wall=1264mm:2mm"]));
 }

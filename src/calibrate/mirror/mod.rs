@@ -19,7 +19,7 @@
 
 mod ray_bundle;
 
-pub use ray_bundle::KnownLength;
+pub use ray_bundle::{KnownLength, RaysLength};
 
 use crate::calibrate::frames::spread;
 use crate::calibrate::geometry::{Geometry, Parameter, tilt_axes};
@@ -55,6 +55,12 @@ const UNDETERMINED_SD: (f64, f64) = (3.5e-3, 3.5e-3);
 /// Remaining disagreement of the views, RMS, beyond which they contradict each other: pixels.
 const DISAGREE_PX: f64 = 0.5;
 
+/// The same, beyond which the result is doubtful if it is also this many times the variance of the noise.
+const DOUBTFUL_PX: f64 = 0.1;
+const DOUBTFUL_MISFIT: f64 = 4.0;
+/// A known length contradicts the rays beyond this many standard deviations of their difference.
+const CONTRADICTION_SD: f64 = 4.0;
+
 /// Which length to use.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Length {
@@ -86,8 +92,11 @@ pub struct MirrorCalibration {
     /// Disagreement of the views about a band, RMS, pixels: with the old mirror and the new one; infinite when a band
     /// has no ray.
     pub disagreement_px: [f64; 2],
-    /// Lengths used, each with the value preferred by the recording, metres.
-    pub lengths: Vec<(KnownLength, f64)>,
+    /// χ² of the bands' places in the views per degree of freedom; the covariance is enlarged by it where it is above
+    /// 1.
+    pub misfit: f64,
+    /// Lengths used, each with what the rays say of it, if they say anything.
+    pub lengths: Vec<(KnownLength, Option<RaysLength>)>,
 }
 
 /// 95 % quantile of χ² with three degrees of freedom.
@@ -122,6 +131,9 @@ pub enum MirrorError {
     /// The picture cannot be segmented.
     #[error(transparent)]
     Segment(#[from] SegmentError),
+    /// A short recording.
+    #[error("it has only {0} frames; at least {MIN_FRAMES} in which bands are seen in two views are needed")]
+    TooShort(usize),
     /// Too few bands are seen.
     #[error("bands are seen in two views at once in only {seen} of {frames} frames; at least {MIN_FRAMES} are needed")]
     TooFew {
@@ -135,10 +147,14 @@ pub enum MirrorError {
     NoAnswer,
     /// The views still contradict each other.
     #[error(
-        "wherever the mirror stands, the views disagree by {0:.2} px about the bands: more than the mirror has moved, \
+        "wherever the mirror stands, the views disagree by {0:.2} px about the bands: more \
+                 than the mirror has moved, \
          or one of the bands is another thing of its colour"
     )]
     Disagree(f64),
+    /// The recording contradicts what is known, and leaves the mirror open.
+    #[error("the recording does not give the mirror's position: {0}")]
+    Doubtful(String),
     /// σ is too large.
     #[error(
         "the recording leaves the mirror open: σ {turn_deg:.2}° and {shift_mm:.1} mm (at most {:.1}° and {:.1} mm are \
@@ -214,7 +230,8 @@ pub fn calibrate_mirror(
                 frames: frames.len(),
                 bands: moments.iter().map(|m| m.sights.iter().map(|s| s.marker).collect::<BTreeSet<_>>().len()).sum(),
                 disagreement_px,
-                lengths: lengths.iter().zip(&met.length_errors_m).map(|(l, e)| (*l, l.length_m + e)).collect(),
+                misfit: met.misfit,
+                lengths: lengths.iter().copied().zip(met.lengths).collect(),
             };
             return judged(done);
         }
@@ -226,6 +243,38 @@ impl MirrorCalibration {
     /// σ of the rotations, radians, and of the offset, metres.
     pub fn sd(&self) -> [f64; 3] {
         [0, 1, 2].map(|i| self.covariance[(i, i)].max(0.0).sqrt())
+    }
+
+    /// Reasons to doubt the result, for people.
+    pub fn doubts(&self) -> Vec<String> {
+        let mut doubts = Vec::new();
+        for (known, rays) in &self.lengths {
+            let Some(rays) = rays else { continue };
+            let off = (known.length_m - rays.length_m).abs() / known.sd_m.hypot(rays.sd_m);
+            if off > CONTRADICTION_SD {
+                let name = |marker: usize| self.rig.markers.get(marker).map_or("", |own| own.name.as_str());
+                doubts.push(format!(
+                    "the length {}-{} of {:.2} ± {:.2} mm contradicts the rays, which give {:.2} ± {:.2} mm ({off:.1}σ \
+                     apart): is it measured between the middles of the bands? Or camera, walls or water are not as \
+                     calibrated",
+                    name(known.markers[0]),
+                    name(known.markers[1]),
+                    known.length_m * 1e3,
+                    known.sd_m * 1e3,
+                    rays.length_m * 1e3,
+                    rays.sd_m * 1e3
+                ));
+            }
+        }
+        let [_, now_px] = self.disagreement_px;
+        if now_px > DOUBTFUL_PX && self.misfit > DOUBTFUL_MISFIT {
+            doubts.push(format!(
+                "the views still disagree by {now_px:.2} px RMS, {:.1} times as much as the noise of the bands: more \
+                 than the mirror may have moved. σ are enlarged by this factor",
+                self.misfit.sqrt()
+            ));
+        }
+        doubts
     }
 
     /// Motion of the mirror: rotation up or down and left or right, radians; shift along its normal, metres.
@@ -247,6 +296,7 @@ fn judged(done: MirrorCalibration) -> Result<MirrorCalibration, MirrorError> {
     }
     match is_open(&done.covariance) {
         None => Ok(done),
+        Some(_) if !done.doubts().is_empty() => Err(MirrorError::Doubtful(done.doubts().join("; "))),
         Some([turn, shift]) => Err(MirrorError::Open { turn_deg: turn.to_degrees(), shift_mm: shift * 1e3 }),
     }
 }
@@ -377,7 +427,11 @@ fn in_two_views(sights: Vec<Sight>) -> Vec<Sight> {
 
 fn enough(moments: Vec<Moment>) -> Result<Vec<Moment>, MirrorError> {
     let seen = moments.iter().filter(|moment| !moment.sights.is_empty()).count();
-    if seen < MIN_FRAMES { Err(MirrorError::TooFew { seen, frames: moments.len() }) } else { Ok(moments) }
+    match moments.len() {
+        frames if frames < MIN_FRAMES => Err(MirrorError::TooShort(frames)),
+        frames if seen < MIN_FRAMES => Err(MirrorError::TooFew { seen, frames }),
+        _ => Ok(moments),
+    }
 }
 
 /// How much shorter the bend makes the distance of two bands than the tube between them, metres. From the angle ψ

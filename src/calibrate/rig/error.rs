@@ -51,6 +51,27 @@ pub enum RigCalibrationError {
         /// Distance of the wall, as given.
         distance_mm: f64,
     },
+    /// Boards beyond the tank.
+    #[error(
+        "by their size the boards ({board}) reach {what}, and the tank is {tank_mm:.0} mm {side}: is --tank \
+         WIDTHxDEPTHxHEIGHT right, and the size of the squares?"
+    )]
+    BeyondTank {
+        /// As given.
+        board: String,
+        /// How far they reach, in words.
+        what: String,
+        /// Size of the tank in that direction, as given.
+        tank_mm: f64,
+        /// Which size that is.
+        side: &'static str,
+    },
+    /// Coordinates of points in a left-handed frame.
+    #[error(
+        "the points fit the pictures only when they are mirrored: x_mm, y_mm and z_mm are coordinates in a left-handed \
+         frame. Give one of the three the other sign, in all rows"
+    )]
+    LeftHanded,
     /// A distance or a board for a surface that does not exist.
     #[error("there is no surface `{name}`; there are {known}")]
     NoSurface {

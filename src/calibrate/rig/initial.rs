@@ -79,6 +79,23 @@ pub(crate) enum Unusable {
          sharp and not hidden?"
     )]
     Once,
+    /// Fewer points than a pose needs.
+    #[error("it has {found} points in a view, at least {needed} are needed")]
+    FewPoints {
+        /// How many.
+        found: usize,
+        /// How many are needed.
+        needed: usize,
+    },
+    /// Points in one line.
+    #[error("its {found} points of a view lie on one line: they do not tell how the target stands")]
+    OnLine {
+        /// How many.
+        found: usize,
+    },
+    /// No pose fits.
+    #[error("no position of the target fits the points of a view: are they assigned rightly?")]
+    NoPose,
     /// Images with the wrong handedness.
     #[error(
         "its direct image of the board is mirrored and the one in a mirror is not: the picture was flipped, by the \

@@ -40,12 +40,12 @@ use crate::calibrate::bundle::outliers::{UsedPicture, rms, worst_picture};
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
-use crate::calibrate::geometry::Parameter;
+use crate::calibrate::geometry::{Parameter, tilt_axes};
 use crate::optics::{Lens, OpticalPath};
 use crate::rig::{Draft, View};
 use error::FEWEST_PICTURES;
 use initial::{Initial, SortedPicture, Unusable, start};
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Point2, Vector2, Vector3};
 use regions::regions;
 use sufficient::{check_views, determined};
 use taped::Taped;
@@ -56,6 +56,8 @@ const MARGINS_M: [f64; 3] = [0.03, 0.08, 0.15];
 
 /// Relative error of a board's distance from a single view.
 const POSE_ERROR: f64 = 0.02;
+/// How much further than the tank's size boards may reach by errors of both: a part of it, and metres.
+const TANK_TOLERANCE: (f64, f64) = (0.03, 5e-3);
 
 /// The rig's optics with their covariance.
 #[derive(Debug, Clone)]
@@ -146,6 +148,7 @@ fn adjusted(
             .collect();
         let Some((index, off)) = worst_picture(&used) else {
             determined(&solution)?;
+            beyond_tank(target, &solution, &corners, options)?;
             let used = start.pictures.iter().map(|s| s.picture).zip(used).collect();
             return Ok(RigCalibration { solution, corners, used, left_out, with_taped });
         };
@@ -180,6 +183,48 @@ fn before_wall(
         }
         _ => Ok(()),
     }
+}
+
+/// Checks that the tank has room for the boards as solved.
+fn beyond_tank(
+    target: &Target<'_>,
+    solution: &Solution,
+    corners: &[Corner],
+    options: &RigOptions,
+) -> Result<(), RigCalibrationError> {
+    let Some([width_m, depth_m, height_m]) = options.tank.as_ref().and_then(|tank| tank.size_m) else { return Ok(()) };
+    // The front wall is the first surface of a tank.
+    let Some((_, front)) = solution.geometry.surfaces.first() else { return Ok(()) };
+    let normal = front.plane().normal();
+    let span_m = |way: &Vector3<f64>| {
+        let along = corners.iter().map(|corner| (solution.poses[corner.picture] * corner.place).coords.dot(way));
+        along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
+    };
+    let error = |what: String, tank_m: f64, side| RigCalibrationError::BeyondTank {
+        board: target.words.clone(),
+        what,
+        tank_mm: tank_m * 1e3,
+        side,
+    };
+    let most_m = |size_m: f64| size_m * (1.0 + TANK_TOLERANCE.0) + TANK_TOLERANCE.1;
+    let (low, high) = span_m(&normal);
+    let front_m = front.plane().offset_m();
+    let behind_m = (low - front_m).abs().max((high - front_m).abs());
+    if behind_m > most_m(depth_m) {
+        return Err(error(format!("{:.0} mm behind the front of front_wall", behind_m * 1e3), depth_m, "deep"));
+    }
+    // How the walls stand beside the front one is not known to all set-ups: its diagonal is a limit for all.
+    let [a, b] = tilt_axes(&normal);
+    let across_m = (0..8).map(|k| {
+        let (sin, cos) = (f64::from(k) * std::f64::consts::PI / 8.0).sin_cos();
+        let (low, high) = span_m(&(a * cos + b * sin));
+        high - low
+    });
+    let (across_m, diagonal_m) = (across_m.fold(0.0, f64::max), width_m.hypot(height_m));
+    if across_m > most_m(diagonal_m) {
+        return Err(error(format!("over {:.0} mm along front_wall", across_m * 1e3), diagonal_m, "along its diagonal"));
+    }
+    Ok(())
 }
 
 fn by_picture(corners: &[Corner], solution: &Solution, picture: usize) -> Vec<(Point2<f64>, Vector2<f64>)> {

@@ -10,10 +10,11 @@
 //!
 //! Cannot detect: a target whose true dimensions differ from the table by a scale factor.
 
+use super::error::RigCalibrationError;
 use super::initial::{Image, Initial, SortedPicture, Unusable, mirror_between, mirrors_alike};
-use crate::calibrate::bundle::pose::pose_from_opencv;
+use crate::calibrate::bundle::pose::{by_pose, pose_from_opencv, turned};
 use crate::optics::Lens;
-use nalgebra::{Isometry3, Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point2, Point3, Vector3, Vector6};
 use opencv::calib3d;
 use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
 use std::path::{Path, PathBuf};
@@ -21,6 +22,11 @@ use std::path::{Path, PathBuf};
 /// Fewest points of a target in a view: a pose has six unknowns, a point gives two equations, and one more point is
 /// needed as a check.
 const MIN_POINTS: usize = 4;
+/// A target is left-handed if the squares of its residuals are this many times those of its reflection, over at least as
+/// many coordinates. From afar the two differ by little more than the noise.
+const LEFT_HANDED: (f64, usize) = (1.5, 60);
+/// Steps from OpenCV's pose to the best one.
+const REFINEMENTS: usize = 8;
 /// A target counts as flat if its points are this close to its plane, as a fraction of its size.
 const FLATNESS: f64 = 1e-6;
 const M_PER_MM: f64 = 1e-3;
@@ -208,22 +214,35 @@ impl Points {
     }
 
     /// Approximate positions of targets and mirrors, as if in air.
-    pub(crate) fn start(&self, lens: &Lens) -> opencv::Result<Initial> {
+    pub(crate) fn start(&self, lens: &Lens) -> Result<Initial, RigCalibrationError> {
         let mut left_out = Vec::new();
+        let mut handed = Handedness::default();
         let mut pictures = Vec::new();
         let views = self.pictures.iter().map(|p| p.views.len()).max().unwrap_or(1);
         let mut planes: Vec<Vec<(Vector3<f64>, f64)>> = vec![Vec::new(); views - 1];
         for (picture, own) in self.pictures.iter().enumerate() {
-            let enough = |view: &&Vec<Marked>| view.len() >= MIN_POINTS;
-            let Some(direct) = own.views.first().filter(enough) else {
-                left_out.push((picture, Unusable::OnlyMirrored));
-                continue;
+            let here = match own.views.first().map(|direct| self.pose(lens, direct, 1.0)).transpose()? {
+                Some(Ok(here)) => here,
+                Some(Err(why)) => {
+                    left_out.push((picture, why));
+                    continue;
+                }
+                None => continue,
             };
-            let here = self.pose(lens, direct, 1.0)?;
+            let direct = &own.views[0];
+            self.compare(&mut handed, lens, direct, (&here, 1.0))?;
             let mut sorted = SortedPicture { picture, views: vec![None; views] };
-            for (view, marked) in own.views.iter().enumerate().skip(1).filter(|(_, marked)| enough(marked)) {
+            let mut unusable = Unusable::Once;
+            for (view, marked) in own.views.iter().enumerate().skip(1).filter(|(_, marked)| !marked.is_empty()) {
                 // A mirror image is a rotated target reflected in its own plane, which a flat target does not show.
-                let there = self.pose(lens, marked, -1.0)?;
+                let there = match self.pose(lens, marked, -1.0)? {
+                    Ok(there) => there,
+                    Err(why) => {
+                        unusable = why;
+                        continue;
+                    }
+                };
+                self.compare(&mut handed, lens, marked, (&there, -1.0))?;
                 let folded = |p: &Point3<f64>| Point3::new(p.x, p.y, -p.z);
                 let pairs = self.places.iter().map(|p| (here * p, there * folded(p)));
                 let (_, normal, offset_m) = mirror_between(pairs);
@@ -233,18 +252,27 @@ impl Points {
                 sorted.views[view] = Some(image(marked, there));
             }
             if sorted.views.iter().flatten().next().is_none() {
-                left_out.push((picture, Unusable::Once));
+                left_out.push((picture, unusable));
                 continue;
             }
             sorted.views[0] = Some(image(direct, here));
             pictures.push(sorted);
         }
+        if handed.values >= LEFT_HANDED.1 && handed.as_given > LEFT_HANDED.0 * handed.mirrored {
+            return Err(RigCalibrationError::LeftHanded);
+        }
         let mirrors = planes.iter().filter(|own| !own.is_empty()).map(|own| mirrors_alike(own)).collect();
         Ok(Initial { mirrors, pictures, left_out })
     }
 
-    /// Pose of the target, or with `depth` −1 of its reflection in its plane.
-    fn pose(&self, lens: &Lens, marked: &[Marked], depth: f64) -> opencv::Result<Isometry3<f64>> {
+    /// Pose of the target, or with `depth` −1 of its reflection in its plane; or why it has none.
+    fn pose(&self, lens: &Lens, marked: &[Marked], depth: f64) -> opencv::Result<Result<Isometry3<f64>, Unusable>> {
+        match marked.len() {
+            0 => return Ok(Err(Unusable::OnlyMirrored)),
+            found if found < MIN_POINTS => return Ok(Err(Unusable::FewPoints { found, needed: MIN_POINTS })),
+            found if is_line(marked) => return Ok(Err(Unusable::OnLine { found })),
+            _ => {}
+        }
         let seen = || marked.iter().filter_map(|m| Some((m.place, lens.undistort(&m.pixel)?)));
         let object = |(p, _): (Point3<f64>, _)| Point3f::new(p.x as f32, p.y as f32, (depth * p.z) as f32);
         let objects: Vector<Point3f> = seen().map(object).collect();
@@ -252,9 +280,79 @@ impl Points {
         let camera = Mat::eye(3, 3, opencv::core::CV_64F)?.to_mat()?;
         let (mut turn, mut shift) = (Mat::default(), Mat::default());
         let method = if self.is_flat() { calib3d::SOLVEPNP_IPPE } else { calib3d::SOLVEPNP_SQPNP };
-        calib3d::solve_pnp(&objects, &images, &camera, &Mat::default(), &mut turn, &mut shift, false, method)?;
-        pose_from_opencv(&turn, &shift)
+        let none = Mat::default();
+        if !calib3d::solve_pnp(&objects, &images, &camera, &none, &mut turn, &mut shift, false, method)? {
+            return Ok(Err(Unusable::NoPose));
+        }
+        let pose = pose_from_opencv(&turn, &shift)?;
+        let is_finite = pose.to_homogeneous().iter().all(|v| v.is_finite());
+        Ok(if is_finite { Ok(pose) } else { Err(Unusable::NoPose) })
     }
+
+    /// Adds how a view fits the target as given, with its pose and `depth`, and mirrored.
+    fn compare(
+        &self,
+        handed: &mut Handedness,
+        lens: &Lens,
+        marked: &[Marked],
+        (pose, depth): (&Isometry3<f64>, f64),
+    ) -> opencv::Result<()> {
+        // A flat target is its own reflection.
+        if self.is_flat() {
+            return Ok(());
+        }
+        let Ok(other) = self.pose(lens, marked, -depth)? else { return Ok(()) };
+        handed.as_given += squares(lens, marked, (*pose, depth));
+        handed.mirrored += squares(lens, marked, (other, -depth));
+        handed.values += 2 * marked.len();
+        Ok(())
+    }
+}
+
+/// Sum of squared residuals, in units of each point's σ, at the pose near this one that fits best.
+fn squares(lens: &Lens, marked: &[Marked], (mut pose, depth): (Isometry3<f64>, f64)) -> f64 {
+    let mut sum = f64::INFINITY;
+    for _ in 0..REFINEMENTS {
+        let (mut normal, mut pull) = (Matrix6::zeros(), Vector6::zeros());
+        let mut squares = 0.0;
+        for m in marked {
+            let Some(seen) = lens.undistort(&m.pixel) else { continue };
+            let place = Point3::new(m.place.x, m.place.y, depth * m.place.z);
+            let q = pose * place;
+            let residual = (seen - q.xy() / q.z) / m.relative_sd;
+            let d_u = Vector3::new(1.0, 0.0, -q.x / q.z) / q.z / m.relative_sd;
+            let d_v = Vector3::new(0.0, 1.0, -q.y / q.z) / q.z / m.relative_sd;
+            for (off, d) in [(residual.x, d_u), (residual.y, d_v)] {
+                let row = by_pose(&pose, &place, &d);
+                normal += row * row.transpose();
+                pull += row * off;
+            }
+            squares += residual.norm_squared();
+        }
+        sum = squares.min(sum);
+        let Some(step) = normal.cholesky().map(|root| root.solve(&pull)) else { break };
+        pose = turned(&pose, &step);
+    }
+    sum
+}
+
+/// How well all views fit the target: sums of squares, and the number of coordinates in them.
+#[derive(Debug, Default)]
+struct Handedness {
+    as_given: f64,
+    mirrored: f64,
+    values: usize,
+}
+
+/// Whether points lie on one line of the target: they have no pose.
+fn is_line(marked: &[Marked]) -> bool {
+    let count = marked.len().max(1) as f64;
+    let middle = marked.iter().map(|m| m.place.coords).sum::<Vector3<f64>>() / count;
+    let offsets = || marked.iter().map(|m| m.place.coords - middle);
+    let scatter = offsets().map(|o| o * o.transpose()).sum::<Matrix3<f64>>();
+    let mut sizes: [f64; 3] = scatter.symmetric_eigenvalues().into();
+    sizes.sort_by(f64::total_cmp);
+    sizes[1] <= (FLATNESS.powi(2)) * sizes[2]
 }
 
 fn image(marked: &[Marked], pose: Isometry3<f64>) -> Image {

@@ -9,7 +9,7 @@ use crate::calibrate::markers::{
     verdict,
 };
 use crate::report::teaching::{self, TeachingInfo};
-use crate::rig::{Catheter, Draft, Marker, Rig, View};
+use crate::rig::{Catheter, Draft, Marker, Rig, View, longest_stiff_m};
 use crate::source::{FrameRate, SourceOptions};
 use nalgebra::Point2;
 use std::fmt::Write as _;
@@ -164,6 +164,7 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
         };
         return Err(failure(args, error, &note));
     }
+    stiff_enough_to_bend(args, &done.rig.markers, done.rig.catheter.coil)?;
     let provenance = provenance(args, &done, places(&rig));
     done.rig.provenance.insert("markers".into(), provenance.into());
     print(&describe(&done))?;
@@ -357,8 +358,22 @@ fn catheter(args: &MarkersArgs, draft: &Draft, names: &[&str]) -> Result<Cathete
         }
         (None, None) => names.len().checked_sub(1),
     };
+    stiff_enough_to_bend(args, &[], coil)?;
     let rigid_m = args.rigid.map(|rigid| rigid.0).or(old.and_then(|old| old.rigid_m));
     Ok(Catheter { diameter_m: args.tube.0, coil, end, rigid_m })
+}
+
+/// Checks that the stiff part leaves some of the tube to bend.
+fn stiff_enough_to_bend(args: &MarkersArgs, markers: &[Marker], coil: usize) -> Result<(), Failure> {
+    let (Some(rigid), most_m) = (args.rigid, longest_stiff_m(markers, coil)) else { return Ok(()) };
+    if rigid.0 <= most_m {
+        return Ok(());
+    }
+    let (rigid, most) = (rigid.0 * 1e3, most_m * 1e3);
+    Err(Failure::usage(format!(
+        "--rigid {rigid:.1} mm: expected at most {most:.0} mm, the length of the stiff part around the middle of the \
+         coil"
+    )))
 }
 
 fn failure(args: &MarkersArgs, error: MarkersError, note: &str) -> Failure {

@@ -89,6 +89,9 @@ pub(super) fn run(args: &MirrorArgs, print: impl Fn(&str) -> Result<(), Failure>
     let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
     let mut done = calibrate_mirror(&rig, args.mirror.as_deref(), length, &mut frames).map_err(|e| failure(args, e))?;
     print(&describe(&done))?;
+    for doubt in done.doubts() {
+        tracing::warn!("{}: doubt: {doubt}", args.source.display());
+    }
     let provenance = provenance(args, &done).into();
     if !done.has_moved() {
         // A move within its σ would replace a good position by a less certain one.
@@ -112,9 +115,12 @@ fn failure(args: &MirrorArgs, error: MirrorError) -> Failure {
         | MirrorError::NoRegion(_)
         | MirrorError::Track(_)
         | MirrorError::Segment(_) => return Failure::usage(format!("{}: {error}", args.rig.display())),
-        MirrorError::TooFew { .. } | MirrorError::NoAnswer | MirrorError::Disagree(_) | MirrorError::Open { .. } => {
-            Exit::Unusable
-        }
+        MirrorError::TooShort(_)
+        | MirrorError::TooFew { .. }
+        | MirrorError::NoAnswer
+        | MirrorError::Disagree(_)
+        | MirrorError::Doubtful(_)
+        | MirrorError::Open { .. } => Exit::Unusable,
     };
     Failure::new(exit, format!("{}: {error}; nothing was written", args.source.display()))
 }
@@ -151,10 +157,13 @@ fn describe(done: &MirrorCalibration) -> String {
         let _ = writeln!(text, "{what:<24} {:>+7.3}°  {:>7.3}°", angle.to_degrees(), sd.to_degrees());
     }
     let _ = writeln!(text, "{:<24} {:>+7.2} mm {:>6.2} mm", "shifted along its normal", shift * 1e3, shift_sd * 1e3);
-    for (length, found_m) in &done.lengths {
+    for (length, rays) in &done.lengths {
         let [a, b] = length.markers.map(|m| done.rig.markers.get(m).map_or("", |marker| marker.name.as_str()));
-        let (known, sd, found) = (length.length_m * 1e3, length.sd_m * 1e3, found_m * 1e3);
-        let _ = writeln!(text, "\nlength {a}-{b} {known:.2} ± {sd:.2} mm; the rays give {found:.2} mm");
+        let (known, sd) = (length.length_m * 1e3, length.sd_m * 1e3);
+        let found = rays.map_or("say nothing of it".to_owned(), |rays| {
+            format!("give {:.2} ± {:.2} mm", rays.length_m * 1e3, rays.sd_m * 1e3)
+        });
+        let _ = writeln!(text, "\nlength {a}-{b} {known:.2} ± {sd:.2} mm; the rays {found}");
     }
     text += "\nlens and walls were taken as exact. A turn to the left or right and the shift move all positions \
              together, by millimetres; displacements and angles hardly change.\n";

@@ -19,6 +19,8 @@ use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Vector2, Vector3};
 
 /// Steps of the positions alone after each step of the shared unknowns.
 const PLACE_STEPS: usize = 2;
+/// Least part by which the rays reduce a known length's variance for their own value to be told.
+const LEAST_LEARNED: f64 = 1e-6;
 /// End of the search.
 const END: End = End { tolerance: (0.0, 1e-6), max_steps: 100 };
 
@@ -53,6 +55,27 @@ pub struct KnownLength {
     pub sd_m: f64,
 }
 
+impl KnownLength {
+    /// What all else says of the length, from its correction and that correction's variance with the known length as a
+    /// prior: precisions add. `None` where it says next to nothing.
+    fn by_rays(&self, correction_m: f64, variance_m2: f64) -> Option<RaysLength> {
+        let learned = 1.0 - variance_m2 / self.sd_m.powi(2);
+        (learned > LEAST_LEARNED).then(|| RaysLength {
+            length_m: self.length_m + correction_m / learned,
+            sd_m: (variance_m2 / learned).sqrt(),
+        })
+    }
+}
+
+/// A length according to the rays and the other lengths.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RaysLength {
+    /// The length, metres.
+    pub length_m: f64,
+    /// Its standard deviation.
+    pub sd_m: f64,
+}
+
 /// The problem, and the start of the search.
 #[derive(Debug, Clone)]
 pub(crate) struct RayBundle<'a> {
@@ -72,10 +95,12 @@ pub(crate) struct RayBundle<'a> {
 #[derive(Debug, Clone)]
 pub(crate) struct RayBundleSolution {
     pub(crate) geometry: Geometry,
-    /// Covariance of the free parameters.
+    /// Covariance of the free parameters, enlarged by the misfit where that is above 1.
     pub(crate) covariance: DMatrix<f64>,
-    /// Corrections of the known lengths, metres.
-    pub(crate) length_errors_m: Vec<f64>,
+    /// χ² of the sightings per degree of freedom.
+    pub(crate) misfit: f64,
+    /// What everything but the known lengths says of them.
+    pub(crate) lengths: Vec<Option<RaysLength>>,
 }
 
 /// State of the search.
@@ -107,11 +132,45 @@ impl RayBundle<'_> {
         let (state, equations) =
             minimise(END, start, |state| self.equations(state), |state, step| self.stepped(state, step)).ok()?;
         let free = self.free.len();
+        let covariance = equations.covariance()?;
+        let misfit = self.misfit(&state)?;
+        let of_lengths = count - self.lengths.len();
+        let rays = |(k, known): (usize, &KnownLength)| {
+            let at = of_lengths + k;
+            known.by_rays(*state.common.get(at)?, *covariance.get((at, at))?)
+        };
         Some(RayBundleSolution {
-            covariance: equations.covariance()?.view((0, 0), (free, free)).into_owned(),
-            length_errors_m: state.common.as_slice()[count - self.lengths.len()..].to_vec(),
+            covariance: covariance.view((0, 0), (free, free)) * misfit.max(1.0),
+            misfit,
+            lengths: self.lengths.iter().enumerate().map(rays).collect(),
             geometry: state.geometry,
         })
+    }
+
+    /// χ² of the sightings and the lengths in single frames per degree of freedom; the priors add little.
+    fn misfit(&self, state: &State) -> Option<f64> {
+        let paths: Vec<_> = (0..self.views()).map(|view| state.geometry.path(view)).collect();
+        let (mut chi2, mut freedom) = (0.0, -(self.free.len() as f64));
+        for (moment, places) in self.moments.iter().zip(&state.places) {
+            freedom -= unknowns(places) as f64;
+            for sight in &moment.sights {
+                let Some(Some(place)) = places.get(sight.marker) else { continue };
+                let across = Vector2::new(-sight.along.y, sight.along.x);
+                let e = self.model_error(sight);
+                let error = sight.along * *state.common.get(e)? + across * *state.common.get(e + 1)?;
+                let residual = sight.pixel - paths.get(sight.view)?.project(place).ok()? - error;
+                chi2 += residual.dot(&(sight.covariance_px2.try_inverse()? * residual));
+                freedom += 2.0;
+            }
+            for (k, length) in self.lengths.iter().enumerate() {
+                let Some(Some(shorter_m)) = moment.shorter_m.get(k) else { continue };
+                let [a, b] = length.markers.map(|marker| places.get(marker).copied().flatten());
+                let Some((a, b)) = a.zip(b) else { continue };
+                chi2 += self.length_residual(state, (k, length, *shorter_m), (b - a).norm())?.powi(2);
+                freedom += 1.0;
+            }
+        }
+        Some(chi2 / freedom.max(1.0))
     }
 
     fn views(&self) -> usize {
@@ -206,7 +265,7 @@ impl RayBundle<'_> {
         let chord = b - a;
         let direction = chord / chord.norm().max(f64::MIN_POSITIVE) / self.length_scatter_m;
         let error = state.common.len() - self.lengths.len() + k;
-        let residual = (length.length_m - shorter_m - chord.norm() + state.common[error]) / self.length_scatter_m;
+        let Some(residual) = self.length_residual(state, (k, length, shorter_m), chord.norm()) else { return };
         let (mut common, mut own) = (vec![0.0; state.common.len()], vec![0.0; unknowns(places)]);
         common[error] = -1.0 / self.length_scatter_m;
         for (i, d) in direction.iter().enumerate() {
@@ -214,6 +273,17 @@ impl RayBundle<'_> {
             own[slot_b + i] = *d;
         }
         equations.add(Some(m), &[Row { residual, shared: &common, own: &own }], Loss::Squared);
+    }
+
+    /// Known length and its correction, less the distance in a frame, in units of its scatter.
+    fn length_residual(
+        &self,
+        state: &State,
+        (k, length, shorter_m): (usize, &KnownLength, f64),
+        chord_m: f64,
+    ) -> Option<f64> {
+        let correction_m = state.common.get(state.common.len() - self.lengths.len() + k)?;
+        Some((length.length_m - shorter_m - chord_m + correction_m) / self.length_scatter_m)
     }
 
     fn add_priors(&self, equations: &mut Equations, state: &State) {

@@ -111,3 +111,34 @@ fn a_length_helps_and_one_place_alone_is_open() {
     let alone = alone.map_or(f64::INFINITY, |met| met.covariance[(2, 2)].sqrt());
     assert!(alone > 0.05, "{alone}");
 }
+
+#[test]
+fn a_wrong_length_contradicts_the_rays_and_rays_that_do_not_meet_enlarge_sigma() {
+    let truth = geometry();
+    let (moments, known) = swing(&truth, 1.0, 3);
+    let right = solved(truth.clone(), &moments, &[known]).unwrap();
+    let off = |found: &RayBundleSolution, known: &KnownLength| {
+        let rays = found.lengths[0].unwrap();
+        (rays.length_m - known.length_m).abs() / rays.sd_m.hypot(known.sd_m)
+    };
+    assert!(off(&right, &known) < 3.5 && (0.7..1.4).contains(&right.misfit), "{right:?}");
+    let wrong = KnownLength { length_m: known.length_m + 3e-3, ..known };
+    let found = solved(truth.clone(), &moments, &[wrong]).unwrap();
+    assert!(off(&found, &wrong) > 4.0, "{:?}, {:.1} sigma", found.lengths[0], off(&found, &wrong));
+    // Noise of half a pixel where a tenth is stated.
+    let noisy: Vec<Moment> = moments
+        .iter()
+        .enumerate()
+        .map(|(k, moment)| {
+            let mut moment = moment.clone();
+            for (j, sight) in moment.sights.iter_mut().enumerate() {
+                let angle = (k * 7 + j * 3) as f64;
+                sight.pixel += Vector2::new(angle.sin(), (1.7 * angle).cos()) * 0.5;
+            }
+            moment
+        })
+        .collect();
+    let found = solved(truth, &noisy, &[known]).unwrap();
+    assert!(found.misfit > 4.0, "{}", found.misfit);
+    assert!(found.covariance[(0, 0)] > 3.0 * right.covariance[(0, 0)], "{} {}", found.covariance, right.covariance);
+}
