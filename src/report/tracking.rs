@@ -68,9 +68,9 @@ fn header(info: &RunInfo, tally: &Tally) -> String {
             (false, "The views do not fit together", "The views did not fit together for some time"),
             (true, "The base band is not where it was", "The base band was not where it was for some time"),
         ] {
-            let alarms = tally.drift.alarms().iter().filter(|a| matches!(a.what, Drifted::Base { .. }) == base);
-            let words = alarms.map(|alarm| if alarm.over.is_none() { now } else { before });
-            if let Some(words) = words.last() {
+            let mut newest_first = tally.drift.alarms().iter().rev();
+            if let Some(last) = newest_first.find(|alarm| matches!(alarm.what, Drifted::Base { .. }) == base) {
+                let words = if last.over.is_none() { now } else { before };
                 moved += &format!(" <strong>{words}: see Residuals.</strong>");
             }
         }
