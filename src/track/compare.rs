@@ -517,7 +517,8 @@ fn add_mapped(square: &mut Padded, sum: &Row, map: &[Padded; ROW]) {
 
 /// Weights of up to [`CHUNK`] residuals, near the tube (1) or not (0), by their inverse σ there. Returns sums in units
 /// of the noise: robust cost; squares held at the limit, near and far.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+/// (For vectors of eight, as the sums are: for wider ones its closure was not inlined.)
+#[multiversion(targets("x86_64+avx2"))]
 fn weigh(weights: &mut [f32], residuals: &[f32], near: &[f32], [of_near, of_far]: [f32; 2]) -> [f32; 3] {
     // Sums of eight, so that the order of the additions does not depend on the vectors' width.
     let mut sums = [[0.0_f32; 8]; 3];

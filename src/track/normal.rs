@@ -5,6 +5,8 @@
 //! and along the axis, and the bulges of their rings. A sample that sees only one segment depends on two of them and on
 //! one colour; one of the background on none. Rows and blocks are in single precision, which doubles the speed: a block
 //! sums some hundred rows, and the loss is a millionth of the effect of noise.
+//!
+//! Blocks are small and summed in vectors of eight: compiled for wider ones, twice as slow where measured (Zen 4).
 
 use crate::track::appearance::{BACKGROUND, CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, SHADES, SHADING};
 use crate::track::padded::{PADDED, Padded, PaddedSquare, padded, unpadded, unpadded_square};
@@ -214,7 +216,7 @@ struct Mapped {
 
 /// Maps a block. The first of `moves` give how the shape moves the row elements `at`; `colours` are those of the other
 /// elements.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx2"))]
 fn map<const N: usize, const S: usize>(
     mapped: &mut Mapped,
     block: &Block<N>,
@@ -254,7 +256,7 @@ fn map<const N: usize, const S: usize>(
 /// Sums of blocks that belong to the same colours.
 type Own<const N: usize> = [[f64; N]; N];
 
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx2"))]
 fn add<const N: usize>(sum: &mut Own<N>, block: &Block<N>) {
     for (sum, row) in sum.iter_mut().zip(&block.hessian) {
         sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += f64::from(*value));
@@ -313,7 +315,7 @@ impl<const N: usize> Block<N> {
 const LANES: usize = 8;
 
 /// Adds the products of the rows with each other and with the residuals; the first ones replace the sums.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx2"))]
 fn accumulate<const N: usize, const FIRST: bool>(
     block: &mut Block<N>,
     rows: &[Row; BATCH],
