@@ -81,7 +81,7 @@ fn marker(
                 axis_sd_rad: axis_sd_rad(&view.image, s, &fit.covariance),
                 residual_px: view.residual_px,
                 fit_rms: view.rms,
-                separation: separation(rig, encoding, group, member, v, &view.colours),
+                separation: separation(rig, encoding, group, member, v, &view.look.colours),
                 outline_px: outline(&view.image, s - half, s + half),
             })
         })

@@ -25,6 +25,8 @@ const FAR_SIGMAS: f32 = 4.5;
 /// Everything that a view's pixels are predicted from.
 pub(crate) struct Scene<'a> {
     pub image: &'a TubeImage,
+    /// Angles by which the tube has turned at each knot, radians.
+    pub turns: &'a [Vector2<f64>],
     pub layout: &'a Layout,
     pub colours: &'a [f64],
     pub blur_px: f64,
@@ -87,9 +89,15 @@ impl Light<'_> {
 }
 
 impl<'a> Scene<'a> {
-    pub(crate) fn new(image: &'a TubeImage, colours: &'a [f64], stretch: &'a Stretch, model: &'a ImageModel) -> Self {
+    pub(crate) fn new(
+        image: &'a TubeImage,
+        turns: &'a [Vector2<f64>],
+        colours: &'a [f64],
+        stretch: &'a Stretch,
+        model: &'a ImageModel,
+    ) -> Self {
         let ImageModel { encoding, blur_px, .. } = model;
-        Self { image, layout: &stretch.layout, colours, blur_px: *blur_px, encoding }
+        Self { image, turns, layout: &stretch.layout, colours, blur_px: *blur_px, encoding }
     }
 
     pub(crate) fn light(&self) -> Light<'a> {
@@ -108,7 +116,7 @@ impl<'a> Scene<'a> {
     /// The part of the tube in a span, relative to `middle`, seen by samples that are spread over their neighbourhoods
     /// with these variances along x and y, px².
     pub(crate) fn piece(&self, place: &Span, middle: &Vector2<f64>, spread_px2: &Vector2<f64>) -> Piece {
-        let Self { image, layout, colours, .. } = self;
+        let Self { image, turns, layout, colours, .. } = self;
         let (a, b) = (&image.knots[place.knot], &image.knots[place.knot + 1]);
         let spread = |knot: &Knot| {
             let [across, along] = knot.axes().map(|way| way.component_mul(&way));
@@ -126,7 +134,10 @@ impl<'a> Scene<'a> {
             half: linear(&|knot| knot.half_width),
             bulge: linear(&|knot| knot.bulge),
             scale: linear(&|knot| knot.scale),
-            turn: [linear(&|knot| knot.turn.x), linear(&|knot| knot.turn.y)],
+            turn: [0, 1].map(|i| {
+                let [a, b] = [turns[place.knot][i], turns[place.knot + 1][i]];
+                [a as f32, (b - a) as f32]
+            }),
             blurred: [linear(&|knot| knot.swept.x + spread(knot).x), linear(&|knot| knot.swept.y + spread(knot).y)],
             from_ring_m: linear(&|knot| knot.arc_m - layout.rings_m[place.ring]),
             ends: layout.ends && place.ring + 1 == layout.rings_m.len(),
@@ -484,9 +495,17 @@ mod tests {
     fn derivatives_equal_differences() {
         let (image, layout) = image();
         let (encoding, colours) = (Encoding::new(Transfer::Srgb), colours(&layout));
+        let turns: Vec<_> = (0..image.knots.len()).map(|i| Vector2::new(0.02, -0.01) * i as f64).collect();
         for span in [Span { knot: 1, ring: 0 }, Span { knot: 3, ring: 0 }, Span { knot: 5, ring: 1 }] {
             let evaluated = |colours: &[f64], by| {
-                let scene = Scene { image: &image, layout: &layout, colours, blur_px: BLUR_PX, encoding: &encoding };
+                let scene = Scene {
+                    image: &image,
+                    turns: &turns,
+                    layout: &layout,
+                    colours,
+                    blur_px: BLUR_PX,
+                    encoding: &encoding,
+                };
                 evaluated(&scene, &span, &pixels(&image, &span, by))
             };
             let of = |colours: &[f64], by| evaluated(colours, by).1;

@@ -363,30 +363,37 @@ impl Comparison {
         }
     }
 
-    /// Normal equations of the model as it was rendered. `for_scatter` keeps what its scatter is judged by.
-    pub(crate) fn normal(&mut self, scene: &Scene<'_>, noise: &Noise, for_scatter: bool) -> Normal {
+    /// Normal equations of the model as it was rendered.
+    pub(crate) fn normal(&mut self, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
-        let mut scores = for_scatter.then(|| Scores::new(&self.patch, scene));
+        self.scores = None;
         self.derive(scene, |sums, part| {
             let [residuals, weights] = part.padded();
             let (count, rows) = (part.rows.len(), part.rows);
             sums.add(part.span, part.seen, rows, &residuals[..count], &weights[..count]);
-            if let Some(scores) = &mut scores {
-                scores.add(part);
-            }
         });
-        self.scores = scores;
         Normal { cost, squares, ..self.memory.sums.take(&self.patch.spans, scene.image, scene.layout) }
     }
 
     /// The equations of `before` with the gradient of the model as it was rendered.
     pub(crate) fn gradient(&mut self, before: &Normal, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
-        self.scores = None;
+        let scores = self.scores(scene);
         let mut sums = vec![[0.0; ROW]; self.patch.spans.len()];
-        self.derive(scene, |_, part| add_gradient(&mut sums[part.span], part));
+        for ((span, _), cell) in self.patch.cells.iter().zip(&scores.cells) {
+            sums[*span].iter_mut().zip(cell).for_each(|(sum, value)| *sum += value);
+        }
+        // Most are the last of their fit.
+        self.scores = Some(scores);
         let equations = before.with_gradient(self.patch.spans.iter().zip(&sums), scene.image, scene.layout);
         Normal { cost, squares, ..equations }
+    }
+
+    /// What the scatter of the residuals is judged by, of the model as it was rendered.
+    fn scores(&mut self, scene: &Scene<'_>) -> Scores {
+        let mut scores = Scores::new(&self.patch, scene);
+        self.derive(scene, |_, part| scores.add(part));
+        scores
     }
 
     /// Empirical covariance of J'Wr: products of the sums over cells, which keeps the correlation between neighbouring
@@ -400,12 +407,8 @@ impl Comparison {
         of_colours: &ShapeBy,
         coder_variances: impl Fn([u32; 2]) -> [f64; 3],
     ) -> Scattered {
-        let scores = self.scores.take().unwrap_or_else(|| {
-            let mut scores = Scores::new(&self.patch, scene);
-            self.derive(scene, |_, part| scores.add(part));
-            scores
-        });
-        let Scores { cells, mut slips, rows, colours, said, coded } = scores;
+        let known = self.scores.take();
+        let Scores { cells, mut slips, rows, colours, said, coded } = known.unwrap_or_else(|| self.scores(scene));
         let Patch { spans, cells: places, squares: pixels, .. } = &self.patch;
         let Scene { image, layout, .. } = *scene;
         let mut squares = vec![[0.0; PADDED]; pixels.len()];
@@ -441,14 +444,6 @@ impl Comparison {
             }
         }
         differences
-    }
-}
-
-/// Adds rows times residuals.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add_gradient(sum: &mut Row, part: &Part<'_>) {
-    for (row, residual, weight, _) in part.samples() {
-        add_row(sum, row, part.seen, weight * residual);
     }
 }
 

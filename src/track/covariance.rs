@@ -5,7 +5,7 @@
 
 use crate::track::chunk::Scene;
 use crate::track::equations::Eliminated;
-use crate::track::fit::{TubeFit, ViewFit};
+use crate::track::fit::{Look, TubeFit, ViewFit};
 use crate::track::image_model::{AT_REST, ModelError, coder_variance, may_be_coded};
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
@@ -21,7 +21,7 @@ use rayon::prelude::*;
 impl Round<'_> {
     /// Covariance of the shape, and the result of each view alone.
     pub(crate) fn conclude(self, minimum: Minimum) -> Result<TubeFit, NoFit> {
-        let Minimum { state, step, end, .. } = minimum;
+        let Minimum { state, step, end, way_px } = minimum;
         let normals = &state.equations.views;
         let seen = normals.par_iter().map(|normal| normal.hessian.eliminate(0.0)).collect::<Option<Vec<_>>>();
         let seen = seen.ok_or(NoFit::NotConverged)?;
@@ -30,7 +30,7 @@ impl Round<'_> {
         // The residuals do not contain the priors' information.
         let mut covariance = plain * shape_prior() * plain;
         let Round { mut views, stretch, picture, model, rests, .. } = self;
-        let Guess { images, colours, .. } = &state.guess;
+        let Guess { images, colours, turns, .. } = &state.guess;
         let compared = views.par_iter_mut().zip(images).zip(colours).zip(&seen);
         let scatter = compared.map(|(((view, image), colours), eliminated)| {
             let of_colours = -plain * eliminated.following();
@@ -38,7 +38,7 @@ impl Round<'_> {
                 let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
                 steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
             };
-            let scene = Scene::new(image, colours, stretch, model);
+            let scene = Scene::new(image, turns, colours, stretch, model);
             let scattered = view.comparison.scatter(&scene, &plain, &of_colours, coder_variances);
             (scattered, may_be_coded(picture).then(|| view.comparison.differences()))
         });
@@ -52,7 +52,7 @@ impl Round<'_> {
             slip.add(&scattered.slips.seen);
             slip_covariance += scattered.slips.covariance;
         }
-        let Guess { shape, colours, images } = end;
+        let Guess { shape, colours, images, .. } = end;
         let points: Vec<_> = images.iter().map(point_from_pixel).collect();
         for (((image, point), view), normal) in images.iter().zip(&points).zip(&seen).zip(normals) {
             let error = model.error.growth(rms(&normal.squares));
@@ -64,13 +64,15 @@ impl Round<'_> {
             own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
         });
         let rows = scatter.iter().map(|scattered| (scattered.rows, scattered.colours));
-        let seen = images.into_iter().zip(colours).zip(rows.zip(grain));
+        let looks = colours.into_iter().zip(views);
+        let looks = looks.map(|(colours, view)| Look { colours, expected: view.expected_colours });
+        let seen = images.into_iter().zip(looks).zip(rows.zip(grain));
         let views =
-            own.zip(normals).zip(seen).map(|((own, normal), ((image, colours), ((rows, colour_shifts), grain)))| {
+            own.zip(normals).zip(seen).map(|((own, normal), ((image, look), ((rows, colour_shifts), grain)))| {
                 let (residual_px, covariance) = own;
                 let residual_covariance_px2 = covariance * inflation;
                 let rms = rms(&normal.squares);
-                ViewFit { image, colours, residual_px, residual_covariance_px2, rms, rows, colour_shifts, grain }
+                ViewFit { image, look, residual_px, residual_covariance_px2, rms, rows, colour_shifts, grain }
             });
         Ok(TubeFit {
             shape,
@@ -79,6 +81,7 @@ impl Round<'_> {
             slip,
             slip_covariance,
             views: views.collect(),
+            way_px,
             misfit: misfit(normals),
         })
     }

@@ -5,7 +5,7 @@
 //! of all views are compared with the model in one minimisation (round.rs), so that each view determines what the
 //! others cannot see, through the refracted rays. Two rounds: the first fits the shape to every fifth pixel with an
 //! assumed noise; the second selects samples again, all that tell where the tube is, and weights them by their observed
-//! noise.
+//! noise. A stretch that moves as expected is followed: the first round is left out.
 //!
 //! Assumption, a weak prior that enters the covariance (covariance.rs): beside the coil the curvature grows from zero,
 //! by no more than some 15 /m in a centimetre (tube.rs).
@@ -18,7 +18,7 @@ use crate::track::grain::Differences;
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
 use crate::track::places::Density;
-use crate::track::round::{Guess, Round};
+use crate::track::round::{Guess, Minimum, Round};
 use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, TubeShape};
@@ -48,7 +48,7 @@ const MAX_SELECTIONS: usize = 6;
 #[derive(Debug, Clone)]
 pub(crate) struct ViewFit {
     pub image: TubeImage,
-    pub colours: Vec<f64>,
+    pub look: Look,
     /// By how much this view alone would move the image of the reference band, pixels (measured − projected).
     pub residual_px: Vector2<f64>,
     pub residual_covariance_px2: Matrix2<f64>,
@@ -74,12 +74,19 @@ pub(crate) struct TubeFit {
     pub slip: Seen,
     pub slip_covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub views: Vec<ViewFit>,
+    /// How far it ended from its start by way of all steps, pixels.
+    pub way_px: f64,
     /// Mean over the samples of ln σ², σ the RMS residual of their channel and view: −2 log likelihood per sample, up
     /// to a constant. Smaller fits the pictures better.
     pub misfit: f64,
 }
 
 impl TubeFit {
+    /// How its views look.
+    pub(crate) fn looks(&self) -> Vec<Look> {
+        self.views.iter().map(|view| view.look.clone()).collect()
+    }
+
     /// By how much the views disagree: χ² of the shifts that they alone would give.
     pub(crate) fn disagreement(&self) -> f64 {
         let chi2 = |view: &ViewFit| {
@@ -111,11 +118,21 @@ pub(crate) struct Fitting<'a> {
     pub margin_px: f64,
 }
 
+/// How a view looks, which hardly changes from one frame to the next.
+#[derive(Debug, Clone)]
+pub(crate) struct Look {
+    pub colours: Vec<f64>,
+    /// Those looked up in a picture: their prior.
+    pub expected: Vec<f64>,
+}
+
 /// Where the first round ended.
 pub(crate) struct Settled {
     guess: Guess,
     /// The views' initial colours.
-    expected: Vec<Option<Vec<f64>>>,
+    expected: Vec<Vec<f64>>,
+    /// How far that is from the start by way of all steps, pixels.
+    way_px: f64,
 }
 
 impl Settled {
@@ -146,15 +163,16 @@ impl Fitting<'_> {
             unknown,
         )?;
         guess.colours = round.views.iter().map(|view| view.expected_colours.clone()).collect();
-        let guess = round.minimise(guess, COARSE_TOLERANCE)?.end;
-        Ok(Settled { guess, expected: round.views.into_iter().map(|view| Some(view.expected_colours)).collect() })
+        let Minimum { end, way_px, .. } = round.minimise(guess, COARSE_TOLERANCE)?;
+        let expected = round.views.into_iter().map(|view| view.expected_colours).collect();
+        Ok(Settled { guess: end, expected, way_px })
     }
 
-    /// Fits it once more from where a fit ended, which may have had another blur: only the second round.
-    pub(crate) fn again(&self, fit: &TubeFit) -> Result<TubeFit, NoFit> {
-        let colours: Vec<_> = fit.views.iter().map(|view| view.colours.clone()).collect();
-        let expected = colours.iter().cloned().map(Some).collect();
-        self.measure(Settled { guess: self.guess(&fit.shape, colours)?, expected })
+    /// Fits the stretch, starting from a shape and looks that are nearly right: only the second round.
+    pub(crate) fn follow(&self, start: &TubeShape, looks: &[Look]) -> Result<TubeFit, NoFit> {
+        let guess = self.guess(start, looks.iter().map(|look| look.colours.clone()).collect())?;
+        let expected = looks.iter().map(|look| look.expected.clone()).collect();
+        self.measure(Settled { guess, expected, way_px: 0.0 })
     }
 
     fn guess(&self, shape: &TubeShape, colours: Vec<Vec<f64>>) -> Result<Guess, NoFit> {
@@ -163,16 +181,17 @@ impl Fitting<'_> {
 
     /// The second round, repeated as long as it ends far from where its samples were selected.
     pub(crate) fn measure(&self, settled: Settled) -> Result<TubeFit, NoFit> {
-        let Settled { mut guess, expected } = settled;
+        let Settled { mut guess, expected, mut way_px } = settled;
         for _ in 0..MAX_SELECTIONS {
             let mut round = self.round(
                 &guess,
                 Selection { density: Density::All, margin_px: self.margin_px, weighing: Weighing::Own },
-                expected.clone(),
+                expected.iter().cloned().map(Some).collect(),
             )?;
             let minimum = round.minimise(guess, FINE_TOLERANCE)?;
+            way_px += minimum.way_px;
             if minimum.way_px < NEAR_PX {
-                return round.conclude(minimum);
+                return Ok(TubeFit { way_px, ..round.conclude(minimum)? });
             }
             guess = minimum.end;
         }

@@ -90,7 +90,13 @@ impl GroupFitting<'_> {
             self.accept(group, views, &starts, &fit).map(|()| fit)
         };
         let fit_from = |start: &TubeShape| accepted(fitting.fit(start));
-        let continued = last.and_then(|last| last.continued(self.frame.stamp)).as_ref().map(fit_from);
+        let continued = last.and_then(|last| {
+            let start = last.continued(self.frame.stamp)?;
+            Some(match last.looks(&group.stretch, views) {
+                Some(looks) => accepted(fitting.follow(&start, looks)),
+                None => fit_from(&start),
+            })
+        });
         match continued {
             Some(Ok(fit)) if self.is_usual(group, views, &fit) => return Ok(fit),
             _ => {}
@@ -120,7 +126,8 @@ impl GroupFitting<'_> {
     /// Fits a group that was fitted once more, as with another model, or blurred by another share of the way since the
     /// last fit.
     pub(crate) fn again(&self, fitted: &Fitted, share: Option<f64>) -> Option<TubeFit> {
-        self.fitting(&fitted.group, &fitted.views, share).again(fitted.result.as_ref().ok()?).ok()
+        let fit = fitted.result.as_ref().ok()?;
+        self.fitting(&fitted.group, &fitted.views, share).follow(&fit.shape, &fit.looks()).ok()
     }
 
     /// What a group is fitted to.
@@ -228,7 +235,7 @@ impl GroupFitting<'_> {
                 moved = moved.max((pixel(fit.shape.at(s).0)? - pixel(start)?).norm());
             }
             let knot = view.image.at_arc(0.0);
-            let separation = separation::least(self.rig, &self.model.encoding, group, v, &view.colours);
+            let separation = separation::least(self.rig, &self.model.encoding, group, v, &view.look.colours);
             if !(moved <= MAX_MOVED.0.max(MAX_MOVED.1 * knot.half_width) && separation >= MIN_SEPARATION) {
                 return Err(Miss::PoorFit { moved_px: moved, separation });
             }

@@ -94,7 +94,7 @@ impl Judge {
                 && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
             {
                 let view = &fit.views[i];
-                let separation = separation::least(rig, encoding, group, views[i], &view.colours);
+                let separation = separation::least(rig, encoding, group, views[i], &view.look.colours);
                 *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
                 continue;
             }

@@ -11,7 +11,7 @@ use crate::track::stretch::Stretch;
 use crate::track::tube::{BENDS, SHAPE, TubeShape};
 use crate::track::tube_image::{Sweep, TubeImage};
 use crate::track::view::View;
-use nalgebra::{DVector, SMatrix};
+use nalgebra::{DVector, SMatrix, Vector2};
 use rayon::prelude::*;
 
 /// Distance of the knots along the tube, metres.
@@ -19,9 +19,9 @@ const KNOT_M: f64 = 3e-3;
 /// Prior σ of the shape's parameters: centre and tangent are free; of the curvature's derivatives, 1/m² and 1/m³. It
 /// reaches 15 /m, half a right angle over 5 cm, within a centimetre.
 const BEND_SD: [f64; BENDS] = [1500.0, 3e5];
-/// Over such a short distance the matrix of the equations hardly changes: a fifth of the blur, pixels (RMS along the
+/// Over such a short distance the matrix of the equations hardly changes: half the blur, pixels (RMS along the
 /// stretch). Further away a step by the old one converges slowly.
-const CLOSE_PX: f64 = 0.12;
+const CLOSE_PX: f64 = 0.3;
 /// A step this short ends a round: what it leaves is its square over the blur, a thousandth of a pixel.
 const SETTLED_PX: f64 = 0.03;
 /// Most need three; a wide tube whose start is some pixels off needs thirty.
@@ -48,6 +48,8 @@ pub(crate) struct Guess {
     /// For each view.
     pub colours: Vec<Vec<f64>>,
     pub images: Vec<TubeImage>,
+    /// Angles by which the tube has turned at each knot, radians.
+    pub turns: Vec<Vector2<f64>>,
 }
 
 /// A guess and its comparison with the samples.
@@ -85,11 +87,14 @@ impl Guess {
             TubeImage::of(&shape, stretch.radius_m, path, range, KNOT_M, sweep, nearby.get(i))
         };
         let images = paths.par_iter().enumerate().map(image).collect::<Result<_, _>>();
-        let images = images.map_err(|_| NoFit::OutOfPicture)?;
-        Ok(Self { shape, colours, images })
+        let images: Vec<TubeImage> = images.map_err(|_| NoFit::OutOfPicture)?;
+        // All images have the same knots.
+        let knots = images.iter().take(1).flat_map(|image| &image.knots);
+        let turns = knots.map(|knot| shape.turn(knot.arc_m)).collect();
+        Ok(Self { shape, colours, images, turns })
     }
 
-    /// How far it is from another, pixels: RMS along the stretch, in the view that shows it largest.
+    /// How far it is from another of the same views, pixels: RMS along the stretch, in the view that shows it largest.
     fn moved(&self, other: &Self) -> f64 {
         self.images.iter().zip(&other.images).map(|(a, b)| a.distance(b)).fold(0.0, f64::max)
     }
@@ -111,7 +116,8 @@ impl Round<'_> {
     pub(crate) fn minimise(&mut self, start: Guess, enough: f64) -> Result<Minimum, NoFit> {
         let mut state = self.evaluate(start, None);
         let mut damping = DAMPING;
-        let mut rejected = false;
+        // Whether the matrix is that of a state before, and whether the comparisons are those of another guess.
+        let (mut is_old, mut rejected) = (false, false);
         let mut way_px = 0.0;
         let mut known = Vec::new();
         for _ in 0..MAX_EVALUATIONS {
@@ -125,14 +131,18 @@ impl Round<'_> {
                 }
                 return Ok(Minimum { state, step, end: next?, way_px: way_px + moved_px });
             }
-            // After a rejected step the comparisons' derivatives may be those of its end.
-            let before = (!rejected).then_some(&state);
-            match next.map(|guess| self.evaluate(guess, before)) {
+            let is_near = moved_px < CLOSE_PX && !rejected;
+            match next.map(|guess| self.evaluate(guess, is_near.then_some(&state))) {
                 Ok(next) if next.equations.cost <= state.equations.cost => {
                     state = next;
                     way_px += moved_px;
                     damping = (damping * 0.1).max(MIN_DAMPING);
-                    rejected = false;
+                    (is_old, rejected) = (is_near, false);
+                }
+                // May be the fault of the old matrix.
+                _ if is_old => {
+                    state = self.evaluate(state.guess, None);
+                    (is_old, rejected) = (false, false);
                 }
                 _ => {
                     damping *= 30.0;
@@ -151,16 +161,19 @@ impl Round<'_> {
         Guess::new(self.stretch, self.paths, guess.shape.moved(&step.shape), colours, self.sweep, &guess.images)
     }
 
-    /// Compares all views, and adds the prior of the shape. Close to the state `before` only the gradient is new.
-    fn evaluate(&mut self, guess: Guess, before: Option<&State>) -> State {
+    /// Compares all views, and adds the prior of the shape. Near the state `before` only the gradient is new.
+    fn evaluate(&mut self, mut guess: Guess, before: Option<&State>) -> State {
         let Self { stretch, picture, model, .. } = *self;
-        let before =
-            before.filter(|before| guess.moved(&before.guess) < CLOSE_PX).map(|before| &before.equations.views);
+        // Its matrix is that of its turns: they count times a colour.
+        if let Some(before) = before {
+            guess.turns.clone_from(&before.guess.turns);
+        }
+        let turns = &guess.turns;
         let seen = self.views.par_iter_mut().zip(&guess.images).zip(&guess.colours).enumerate();
         let views: Vec<_> = seen
             .map(|(i, ((view, image), colours))| {
-                let before = before.and_then(|normals| normals.get(i));
-                view.compare(&Scene::new(image, colours, stretch, model), picture, before)
+                let before = before.and_then(|before| before.equations.views.get(i));
+                view.compare(&Scene::new(image, turns, colours, stretch, model), picture, before)
             })
             .collect();
         let prior = shape_prior();

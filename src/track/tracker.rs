@@ -354,10 +354,10 @@ impl Tracker {
 
     /// Remembers where the tube is, for later frames.
     fn keep_shapes(&mut self, stamp: Timestamp, fitted: &[Fitted]) {
-        for Fitted { group, result, .. } in fitted {
+        for Fitted { group, views, result } in fitted {
             if let Ok(fit) = result {
                 let before = &mut self.before[group.reference];
-                *before = Some(Last::new(stamp, &fit.shape, before.as_ref()));
+                *before = Some(Last::fitted(stamp, &group.stretch, views, fit, before.as_ref()));
             }
         }
     }

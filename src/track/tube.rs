@@ -116,16 +116,21 @@ impl TubeShape {
 
     /// d direction / d parameters at arc length `s`, to first order in the angle φ that the tube has turned by.
     pub(crate) fn d_direction(&self, s: f64) -> SMatrix<f64, 3, SHAPE> {
-        let (sigma, first, bends) = self.beyond(s);
+        let (sigma, first, _) = self.beyond(s);
         let by: [f64; BENDS] = std::array::from_fn(|i| sigma.powi((i + POWER) as i32) / FACTORIALS[i]);
-        let turn: Vector2<f64> = bends.iter().zip(by).map(|(bend, by)| bend * by).sum();
-        let d_turn = self.across() - self.tangent() * turn.transpose();
+        let d_turn = self.across() - self.tangent() * self.turn(s).transpose();
         let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
         d.fixed_view_mut::<3, 2>(0, 3).copy_from(&d_turn);
         for (i, by) in by.into_iter().enumerate() {
             d.fixed_view_mut::<3, 2>(0, first + 2 * i).copy_from(&(d_turn * by));
         }
         d
+    }
+
+    /// Angle φ by which the direction has turned at arc length `s`, radians.
+    pub(crate) fn turn(&self, s: f64) -> Vector2<f64> {
+        let (sigma, _, bends) = self.beyond(s);
+        (0..BENDS).map(|i| bends[i] * (sigma.powi((i + POWER) as i32) / FACTORIALS[i])).sum()
     }
 
     /// The step that moves its centre and tangent to those of another shape.

@@ -25,8 +25,6 @@ pub(crate) struct Knot {
     pub half_width: f64,
     /// Displacement of a ring's near side along the axis relative to its centre, pixels (signed, along `along`).
     pub bulge: f64,
-    /// Angles by which the tube's direction has turned since the reference band, radians.
-    pub turn: Vector2<f64>,
     /// Variance that the motion during the exposure adds to the blur, across the axis and along it, px².
     pub swept: Vector2<f64>,
     /// d pixel / d shape parameters.
@@ -139,7 +137,6 @@ impl TubeImage {
                 scale: along.norm(),
                 half_width,
                 bulge,
-                turn: shape.across().tr_mul(&direction),
                 swept: Vector2::new(way.dot(&across), way.dot(&unit)).map(|way| way * way / 12.0),
                 d_local: [d_pixel.tr_mul(&across), d_pixel.tr_mul(&unit), d_bulge.transpose()],
                 d_pixel,

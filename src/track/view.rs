@@ -95,9 +95,7 @@ impl View {
         let mut normal = match before {
             Some(before) => self.comparison.gradient(before, scene, &self.noise),
             None => {
-                // The first comparison of a fit is hardly ever its last.
-                let for_scatter = !is_first && self.weighing == Weighing::Own;
-                let mut normal = self.comparison.normal(scene, &self.noise, for_scatter);
+                let mut normal = self.comparison.normal(scene, &self.noise);
                 let own = &mut Arc::make_mut(&mut normal.hessian).colours;
                 (0..colours.len()).for_each(|i| own[(i, i)] += prior(i).1.powi(-2));
                 normal

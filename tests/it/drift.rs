@@ -96,25 +96,25 @@ fn the_command_tells_it_on_the_terminal_in_the_report_and_in_the_log() {
     let place = Place::with(&moved(&rig(), [0.06, 0.0], 0.0));
     let output = place.track(&sample("planar.mkv"), &["--to", "1.1"]);
     let said = ended_with(&output, 0);
-    for part in ["at 0.983 s: views direct and mirror disagree by 0.49", "catoptra calibrate mirror --from-markers"] {
+    for part in ["at 0.983 s: views direct and mirror disagree by 0.50", "catoptra calibrate mirror --from-markers"] {
         assert!(said.contains(part), "{part} is not in {said}");
     }
     assert!(
-        stdout(&output).contains("from 0.983 s on views direct and mirror disagree by 0.49"),
+        stdout(&output).contains("from 0.983 s on views direct and mirror disagree by 0.50"),
         "{}",
         stdout(&output)
     );
     let report = std::fs::read_to_string(place.path("out/report.html")).unwrap();
     assert!(report.contains("<strong>The views do not fit together: see Residuals.</strong>"));
     assert!(
-        report.contains("<td class=\"text\">0.983 s</td><td class=\"text\">views direct and mirror disagree by 0.49")
+        report.contains("<td class=\"text\">0.983 s</td><td class=\"text\">views direct and mirror disagree by 0.50")
     );
     let log = std::fs::read(place.path("out/log.mcap")).unwrap();
     let health: Vec<_> = mcap::MessageStream::new(&log)
         .unwrap()
         .map(Result::unwrap)
         .filter(|m| m.channel.topic == "/health")
-        .map(|m| (m.log_time, String::from_utf8_lossy(&m.data).contains("views direct and mirror disagree by 0.49")))
+        .map(|m| (m.log_time, String::from_utf8_lossy(&m.data).contains("views direct and mirror disagree by 0.50")))
         .collect();
     // When it is noticed, and at the end.
     assert_eq!(health, [(983_000_000, true), (1_100_000_000, true)]);
