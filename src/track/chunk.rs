@@ -122,7 +122,8 @@ impl<'a> Scene<'a> {
             let [across, along] = knot.axes().map(|way| way.component_mul(&way));
             Vector2::new(across.dot(spread_px2), along.dot(spread_px2))
         };
-        let linear = |of: &dyn Fn(&Knot) -> f64| [of(a) as f32, (of(b) - of(a)) as f32];
+        let between = |a: f64, b: f64| [a as f32, (b - a) as f32];
+        let linear = |of: &dyn Fn(&Knot) -> f64| between(of(a), of(b));
         let [start, rest @ ..] = image.piece(place.knot);
         let axis = [start - middle, rest[0], rest[1], rest[2]].map(|v| [v.x as f32, v.y as f32]);
         let light = |segment: usize| {
@@ -134,10 +135,7 @@ impl<'a> Scene<'a> {
             half: linear(&|knot| knot.half_width),
             bulge: linear(&|knot| knot.bulge),
             scale: linear(&|knot| knot.scale),
-            turn: [0, 1].map(|i| {
-                let [a, b] = [turns[place.knot][i], turns[place.knot + 1][i]];
-                [a as f32, (b - a) as f32]
-            }),
+            turn: [0, 1].map(|i| between(turns[place.knot][i], turns[place.knot + 1][i])),
             blurred: [linear(&|knot| knot.swept.x + spread(knot).x), linear(&|knot| knot.swept.y + spread(knot).y)],
             from_ring_m: linear(&|knot| knot.arc_m - layout.rings_m[place.ring]),
             ends: layout.ends && place.ring + 1 == layout.rings_m.len(),
