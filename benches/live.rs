@@ -1,24 +1,28 @@
 //! The highest rate at which a live run loses nothing, and its latency: pictures of the sample, decoded in advance,
 //! delivered like a camera's, θ received as datagrams.
 //!
-//! `cargo bench --bench live`, or with rates and seconds: `cargo bench --bench live -- 60:60 500:5`. 1000 pictures need
-//! 2 GB of memory.
+//! `cargo bench --bench live`, or with rates and seconds: `cargo bench --bench live -- 60:60 500:5`.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement fails by panicking, and prints")]
 
+use catoptra::estimate::Estimate;
 use catoptra::live::{self, Outputs, Until};
 use catoptra::rig::Rig;
-use catoptra::sink::{McapSink, Sink, UdpSink};
+use catoptra::sink::{McapSink, Sink, SinkError, UdpSink};
 use catoptra::source::host::HostClock;
 use catoptra::source::{Clock, Frame, FrameSource, HostTime, Picture, SourceError, Timestamp, VideoFile, VideoOptions};
+use catoptra::tally::Tally;
 use catoptra::track::{TrackOptions, Tracker};
 use std::collections::BTreeMap;
 use std::net::UdpSocket;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// What is tried: rates, Hz, each for so many seconds. (Memory is for ten seconds at 600 Hz.)
+/// What is tried: rates, Hz, each for so many seconds. The first is looked at closely.
 const TRIED: [(f64, f64); 15] = [
+    (60.0, 60.0),
+    (60.0, 60.0),
     (60.0, 60.0),
     (120.0, 4.0),
     (240.0, 4.0),
@@ -26,14 +30,12 @@ const TRIED: [(f64, f64); 15] = [
     (360.0, 4.0),
     (420.0, 4.0),
     (480.0, 4.0),
-    (600.0, 10.0),
-    (600.0, 10.0),
-    (600.0, 10.0),
-    (600.0, 10.0),
-    (600.0, 10.0),
-    (600.0, 10.0),
+    (600.0, 60.0),
+    (600.0, 60.0),
+    (600.0, 60.0),
     (720.0, 4.0),
     (900.0, 4.0),
+    (1200.0, 4.0),
 ];
 
 /// Where the catheter turns by itself in the sample: from its beginning, at rest, to here and back it moves as it can.
@@ -45,9 +47,10 @@ const WORK: Duration = Duration::from_millis(2);
 /// Frames of the first run that are looked at.
 const SLOWEST: usize = 20;
 
-/// Delivers pictures, each when due.
+/// Delivers pictures of a ring, each when due.
 struct Memory {
-    pictures: std::iter::Enumerate<std::vec::IntoIter<Picture>>,
+    ring: Arc<[Picture]>,
+    numbers: std::ops::Range<u64>,
     began: Option<Instant>,
     period: Duration,
     clock: HostClock,
@@ -66,8 +69,8 @@ fn wait_until(due: Instant) {
 
 impl FrameSource for Memory {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
-        let Some((seq, picture)) = self.pictures.next() else { return Ok(None) };
-        let seq = seq as u64;
+        let Some(seq) = self.numbers.next() else { return Ok(None) };
+        let picture = self.ring[seq as usize % self.ring.len()].clone();
         let began = *self.began.get_or_insert_with(Instant::now);
         wait_until(began + self.period * seq as u32);
         let arrival_ns = self.clock.now_ns();
@@ -85,48 +88,72 @@ impl FrameSource for Memory {
     }
 }
 
-/// A picture of its own, as a camera's would be.
-fn copy(picture: &Picture) -> Picture {
-    let [width, height] = picture.size_px();
-    let plane = |i: usize| {
-        let plane = picture.plane(i).unwrap();
-        let mut bytes = Vec::with_capacity(plane.width * plane.height);
-        (0..plane.height).for_each(|j| bytes.extend_from_slice(plane.row(j).unwrap()));
-        bytes
-    };
-    let planes = (0..picture.format().channels()).map(plane).collect();
-    Picture::from_planes(width, height, picture.format(), picture.colour(), planes).unwrap()
-}
-
 /// The sample's pictures, as far as they are used.
 fn decoded() -> Vec<Picture> {
     let mut recording = VideoFile::open("sample_frames/planar.mkv", VideoOptions::default()).unwrap();
     let frames = std::iter::from_fn(|| recording.next_frame().unwrap());
-    frames.take(TURNS_AT + 1).map(|frame| frame.picture).collect()
+    // A camera states no quantiser.
+    frames.take(TURNS_AT + 1).map(|frame| frame.picture.quantised(None)).collect()
 }
 
-/// Number `i` of them, taken forwards and backwards, so that the catheter neither jumps nor turns at once.
-fn repeated(pictures: &[Picture], i: usize) -> Picture {
+/// The pictures forwards and backwards, so that the catheter neither jumps nor turns at once. There are so many that no
+/// cache holds one until it comes again.
+fn ring(pictures: &[Picture]) -> Arc<[Picture]> {
     let last = pictures.len() - 1;
-    copy(&pictures[last - (i % (2 * last)).abs_diff(last)])
+    (0..2 * last).map(|i| pictures[last - i.abs_diff(last)].clone()).collect()
 }
 
 struct Outcome {
     skipped: u64,
     lost: usize,
-    /// By frame, milliseconds.
-    latency_ms: BTreeMap<u64, f64>,
+    latencies: BTreeMap<u64, Latency>,
     cpu: f64,
 }
 
-fn tried(rig: &Rig, (hz, seconds): (f64, f64), pictures: &[Picture], folder: &Path) -> Outcome {
+/// Where the time of a frame went, milliseconds.
+#[derive(Clone, Copy)]
+struct Latency {
+    /// From arrival until θ was received.
+    all: f64,
+    /// Until θ was sent.
+    until_sent: f64,
+    /// What the tracker's thread computed since θ of the frame before was sent: this frame, and before it what was to be
+    /// learned from that one.
+    computed: f64,
+}
+
+/// A controller's line that notes for each frame when θ was sent, and the processor time of the tracker's thread.
+struct Noted {
+    line: UdpSink,
+    clock: HostClock,
+    notes: Arc<Mutex<BTreeMap<u64, (f64, f64)>>>,
+    computed_ms: f64,
+}
+
+impl Sink for Noted {
+    fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError> {
+        self.line.write(estimate, picture)?;
+        let before_ms = std::mem::replace(&mut self.computed_ms, thread_ms());
+        let arrival_ns = estimate.host.map_or(i64::MIN, |host| host.arrival_ns);
+        let sent_ms = (self.clock.now_ns() - arrival_ns) as f64 * 1e-6;
+        self.notes.lock().unwrap().insert(estimate.seq, (sent_ms, self.computed_ms - before_ms));
+        Ok(())
+    }
+
+    fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
+        self.line.finish(tally)
+    }
+}
+
+fn tried(rig: &Rig, (hz, seconds): (f64, f64), ring: &Arc<[Picture]>, folder: &Path) -> Outcome {
     let count = (hz * seconds) as usize;
-    let pictures: Vec<Picture> = (0..count).map(|i| repeated(pictures, i)).collect();
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
     receiver.set_read_timeout(Some(Duration::from_millis(700))).unwrap();
-    let controllers: Vec<Box<dyn Sink + Send>> =
-        vec![Box::new(UdpSink::to(receiver.local_addr().unwrap(), rig).unwrap())];
     let clock = HostClock::start();
+    let notes = Arc::new(Mutex::new(BTreeMap::new()));
+    let line = UdpSink::to(receiver.local_addr().unwrap(), rig).unwrap();
+    let controllers: Vec<Box<dyn Sink + Send>> =
+        vec![Box::new(Noted { line, clock, notes: Arc::clone(&notes), computed_ms: 0.0 })];
     let received = std::thread::spawn(move || {
         // A controller is on another machine, or has the same priority.
         set_priority(-15);
@@ -147,7 +174,7 @@ fn tried(rig: &Rig, (hz, seconds): (f64, f64), pictures: &[Picture], folder: &Pa
     let pool = rayon::ThreadPoolBuilder::new().build().unwrap();
     let tracker = Tracker::new(rig, TrackOptions::default()).unwrap();
     let period = Duration::from_secs_f64(1.0 / hz);
-    let source = Memory { pictures: pictures.into_iter().enumerate(), began: None, period, clock };
+    let source = Memory { ring: Arc::clone(ring), numbers: 0..count as u64, began: None, period, clock };
     let (cpu, began) = (cpu_time::ProcessTime::now(), Instant::now());
     let summary = live::run(Box::new(source), tracker, pool, outputs, clock, &Until::default(), |_| {}).unwrap();
     let cpu = cpu.elapsed().as_secs_f64() / began.elapsed().as_secs_f64();
@@ -155,8 +182,18 @@ fn tried(rig: &Rig, (hz, seconds): (f64, f64), pictures: &[Picture], folder: &Pa
     let reasons = summary.run.tally.reasons("tangent");
     let skipped = reasons.iter().find(|(word, _)| *word == "skipped_overload").map_or(0, |(_, n)| *n);
     let lost = count - received.len();
-    let latency_ms = received.into_iter().filter(|(_, (_, ok))| *ok).map(|(seq, (ms, _))| (seq, ms)).collect();
-    Outcome { skipped, lost, latency_ms, cpu }
+    let notes = notes.lock().unwrap();
+    let latency = |(seq, (all, ok)): (u64, (f64, bool))| {
+        let (until_sent, computed) = *notes.get(&seq).filter(|_| ok)?;
+        Some((seq, Latency { all, until_sent, computed }))
+    };
+    Outcome { skipped, lost, latencies: received.into_iter().filter_map(latency).collect(), cpu }
+}
+
+/// Processor time of this thread, milliseconds.
+fn thread_ms() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 * 1e-6
 }
 
 /// How far this thread goes before others, where it may ("nice").
@@ -216,28 +253,29 @@ fn p50_p99_max(values: impl Iterator<Item = f64>) -> [f64; 3] {
     [0.5, 0.99, 1.0].map(|share| at(share).copied().unwrap_or(f64::NAN))
 }
 
-/// The slowest frames of a run: what of their latency is computation, when the same frames are tracked one right after
-/// another, and what is waiting: for a processor, for other threads, for a cache that the pause left cold.
-fn print_slowest(rig: &Rig, hz: f64, pictures: &[Picture], latency_ms: &BTreeMap<u64, f64>) {
-    let pool = rayon::ThreadPoolBuilder::new().build().unwrap();
-    let mut tracker = Tracker::new(rig, TrackOptions::default()).unwrap();
-    let mut frames: Vec<(u64, f64, f64)> = Vec::new();
-    for seq in 0..latency_ms.last_key_value().map_or(0, |(last, _)| last + 1) {
-        let stamp = Timestamp { ns: (seq as f64 * 1e9 / hz) as i64, clock: Clock::Device };
-        let frame = Frame { seq, stamp, gap: 0, host: None, picture: repeated(pictures, seq as usize) };
-        let began = Instant::now();
-        pool.install(|| tracker.step(&frame)).unwrap();
-        let step_ms = began.elapsed().as_secs_f64() * 1e3;
-        frames.extend(latency_ms.get(&seq).map(|ms| (seq, *ms, step_ms)));
-    }
-    frames.sort_by(|a, b| b.1.total_cmp(&a.1));
+/// The slowest frames of a run, and what each waited for: for its own computation; for a processor or another thread,
+/// before or in between; and on the way to the receiver.
+fn print_slowest(hz: f64, latencies: &BTreeMap<u64, Latency>) {
+    let mut frames: Vec<(u64, Latency)> = latencies.iter().map(|(seq, latency)| (*seq, *latency)).collect();
+    frames.sort_by(|a, b| b.1.all.total_cmp(&a.1.all));
     println!("\nthe {SLOWEST} slowest at {hz} Hz, milliseconds");
-    println!("{:>8} {:>9} {:>18} {:>9}", "frame", "latency", "Tracker::step", "the rest");
-    for (seq, ms, step_ms) in frames.iter().take(SLOWEST) {
-        println!("{seq:>8} {ms:>9.2} {step_ms:>18.2} {:>9.2}", ms - step_ms);
+    println!("{:>8} {:>9} {:>10} {:>9} {:>10}", "frame", "latency", "computing", "waiting", "delivery");
+    let row = |name: &str, of: &dyn Fn(fn(&Latency) -> f64) -> f64| {
+        let [all, computed, waited, delivered] = [
+            of(|latency| latency.all),
+            of(|latency| latency.computed),
+            of(|latency| (latency.until_sent - latency.computed).max(0.0)),
+            of(|latency| latency.all - latency.until_sent),
+        ];
+        println!("{name:>8} {all:>9.2} {computed:>10.2} {waited:>9.2} {delivered:>10.2}");
+    };
+    for (seq, latency) in frames.iter().take(SLOWEST) {
+        row(&seq.to_string(), &|part| part(latency));
     }
-    let [p50, p99, _] = p50_p99_max(frames.iter().map(|frame| frame.2));
-    println!("Tracker::step of all frames: p50 {p50:.2}, p99 {p99:.2}");
+    println!("all frames, each column by itself");
+    for (name, at) in [("p50", 0), ("p99", 1)] {
+        row(name, &|part| p50_p99_max(frames.iter().map(|(_, latency)| part(latency)))[at]);
+    }
 }
 
 fn main() {
@@ -247,7 +285,7 @@ fn main() {
     });
     let asked: Vec<(f64, f64)> = asked.collect();
     let all = if asked.is_empty() { &TRIED[..] } else { &asked };
-    let pictures = decoded();
+    let ring = ring(&decoded());
     let rig = Rig::load(Path::new("sample_frames/truth/rig.toml")).unwrap();
     let place = tempfile::tempdir().unwrap();
     println!(
@@ -269,12 +307,12 @@ fn main() {
     }
     let mut slowest = None;
     for &(hz, seconds) in all {
-        let Outcome { skipped, lost, latency_ms, cpu } = tried(&rig, (hz, seconds), &pictures, place.path());
-        let [p50, p99, max] = p50_p99_max(latency_ms.values().copied());
+        let Outcome { skipped, lost, latencies, cpu } = tried(&rig, (hz, seconds), &ring, place.path());
+        let [p50, p99, max] = p50_p99_max(latencies.values().map(|latency| latency.all));
         println!("{hz:>6} {seconds:>6} {skipped:>8} {lost:>6} {p50:>7.2} {p99:>7.2} {max:>7.2} {cpu:>6.2}");
-        slowest.get_or_insert((hz, latency_ms));
+        slowest.get_or_insert((hz, latencies));
     }
-    if let Some((hz, latency_ms)) = slowest {
-        print_slowest(&rig, hz, &pictures, &latency_ms);
+    if let Some((hz, latencies)) = slowest {
+        print_slowest(hz, &latencies);
     }
 }

@@ -1,7 +1,7 @@
 //! The program as users run it: from its start to the first row, and the memory it takes as a recording gets longer.
 
 use super::looped::looped;
-use super::stopwatch::median;
+use super::stopwatch::with_spread;
 use std::error::Error;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -16,8 +16,8 @@ const LENGTHS: [i64; 3] = [1, 10, 60];
 pub(crate) fn print(recording: &Path, rig: &Path) -> Result<(), Box<dyn Error + Send + Sync>> {
     let starts = (0..STARTS).map(|_| first_row_ms(recording, rig)).collect::<Result<Vec<_>, _>>()?;
     println!(
-        "\nfrom the start of `catoptra track` to its first row: {:.0} ms (median of {STARTS})",
-        median(starts.into_iter())
+        "\nfrom the start of `catoptra track` to its first row, ms, median of {STARTS}: {}",
+        with_spread(|| starts.iter().copied(), 0)
     );
     println!("\n{:>10}{:>20}", "frames", "most memory, MB");
     let place = tempfile::tempdir()?;

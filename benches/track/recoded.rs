@@ -4,13 +4,8 @@ use ffmpeg_the_third as av;
 use std::error::Error;
 use std::path::Path;
 
-/// Decodes the first `frames` of a recording and encodes them again, in the same colours.
-pub(crate) fn recoded(
-    recording: &Path,
-    frames: usize,
-    coder: &str,
-    to: &Path,
-) -> Result<(), Box<dyn Error + Send + Sync>> {
+/// Decodes a recording and encodes it again, in the same colours.
+pub(crate) fn recoded(recording: &Path, coder: &str, to: &Path) -> Result<(), Box<dyn Error + Send + Sync>> {
     let mut input = av::format::input(recording)?;
     let (index, time_base, parameters) = {
         let stream = input.streams().best(av::media::Type::Video).ok_or("no video")?;
@@ -46,25 +41,26 @@ pub(crate) fn recoded(
         }
         Ok(())
     };
-    let (mut picture, mut count) = (av::frame::Video::empty(), 0);
-    for packet in input.packets() {
-        let (stream, packet) = packet?;
-        if stream.index() != index {
-            continue;
-        }
-        decoder.send_packet(&packet)?;
-        while count < frames && decoder.receive_frame(&mut picture).is_ok() {
-            count += 1;
+    let mut picture = av::frame::Video::empty();
+    let mut pass_on = |decoder: &mut av::decoder::Video| -> Result<(), av::Error> {
+        while decoder.receive_frame(&mut picture).is_ok() {
             let stamp = picture.timestamp();
             picture.set_pts(stamp);
             picture.set_kind(av::picture::Type::None);
             encoder.send_frame(&picture)?;
             write(&mut encoder)?;
         }
-        if count == frames {
-            break;
+        Ok(())
+    };
+    for packet in input.packets() {
+        let (stream, packet) = packet?;
+        if stream.index() == index {
+            decoder.send_packet(&packet)?;
+            pass_on(&mut decoder)?;
         }
     }
+    decoder.send_eof()?;
+    pass_on(&mut decoder)?;
     encoder.send_eof()?;
     write(&mut encoder)?;
     output.write_trailer()?;

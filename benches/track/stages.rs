@@ -1,7 +1,8 @@
-//! Each stage of a frame compared with OpenCV's script on the same frame, one thread each, alternating frame by frame.
+//! Each stage of a frame compared with OpenCV's script on the same frame, one thread each, alternating frame by frame;
+//! the whole recording several times.
 
 use super::opencv_script::{Script, i420};
-use super::stopwatch::Stopwatch;
+use super::stopwatch::{Stopwatch, median, with_spread};
 use catoptra::estimate::Estimate;
 use catoptra::rig::Rig;
 use catoptra::segment::{Search, Segmenter, Window};
@@ -14,7 +15,8 @@ use std::path::Path;
 /// Half the side of the windows for timing segmentation: about the tracker's own, at 60 frames per second and half a
 /// millimetre per pixel.
 const WINDOW_PX: f64 = 60.0;
-/// Runs on a worst-case picture.
+/// Times that the recording is gone through, and runs on a worst-case picture each time.
+const ROUNDS: usize = 3;
 const RUNS: usize = 15;
 
 #[derive(Default)]
@@ -25,12 +27,60 @@ struct Times {
     segment_windows: Stopwatch,
     step: Stopwatch,
     step_full_frame: Stopwatch,
+    /// Of the worst-case pictures: the script and the segmentation.
+    worst: [(Stopwatch, Stopwatch); WORST.len()],
+}
+
+const WORST: [&str; 2] = ["all of the coil's colour", "random samples"];
+
+/// One round, and what was found in it.
+struct Round {
+    times: Times,
+    frames: u32,
+    components: i32,
+    blobs: usize,
+    size_px: [u32; 2],
 }
 
 /// Measures and prints.
 pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + Send + Sync>> {
     // This one, so that all stages run where the script does.
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build()?;
+    let rounds = (0..ROUNDS).map(|_| round(recording, rig, &one_thread)).collect::<Result<Vec<_>, _>>()?;
+    let Round { frames, components, blobs, size_px: [width, height], .. } = rounds[0];
+    println!(
+        "{frames} frames of {width}x{height} in turns, one thread each, medians of its CPU time in each of {ROUNDS} \
+         rounds. A frame has"
+    );
+    println!(
+        "{:.2} components in the masks of OpenCV's script and {:.2} blobs in the segmentation.\n",
+        f64::from(components) / f64::from(frames),
+        blobs as f64 / f64::from(frames)
+    );
+    println!("{:42}{:>12}{:>18}{:>23}", "a frame", "Catoptra", "OpenCV's script", "ratio");
+    let row = |name: &str, of: &dyn Fn(&Times) -> f64, script: &dyn Fn(&Times) -> f64| {
+        let typical = |of: &dyn Fn(&Times) -> f64| median(rounds.iter().map(|round| of(&round.times)));
+        let ratio = with_spread(|| rounds.iter().map(|round| script(&round.times) / of(&round.times)), 1);
+        println!("{name:42}{:>9.3} ms{:>15.3} ms{ratio:>21} x", typical(of), typical(script));
+    };
+    let stage = |name: &str, of: &dyn Fn(&Times) -> f64| row(name, of, &|times| times.script.median_ms());
+    stage("decoding", &|times| times.decode.median_ms());
+    stage("segmentation, whole frame", &|times| times.segment.median_ms());
+    stage(&format!("segmentation, windows of {} px", 2.0 * WINDOW_PX), &|times| times.segment_windows.median_ms());
+    stage("assignment, fit, tangent: the rest of step", &|times| {
+        times.step.median_ms() - times.segment_windows.median_ms()
+    });
+    stage("Tracker::step", &|times| times.step.median_ms());
+    stage("Tracker::step, whole frames searched", &|times| times.step_full_frame.median_ms());
+    for (i, name) in WORST.iter().enumerate() {
+        let [script, segment]: [&dyn Fn(&Times) -> f64; 2] =
+            [&|times| times.worst[i].0.median_ms(), &|times| times.worst[i].1.median_ms()];
+        row(&format!("segmentation, {name}"), segment, script);
+    }
+    Ok(())
+}
+
+fn round(recording: &Path, rig: &Rig, one_thread: &rayon::ThreadPool) -> Result<Round, Box<dyn Error + Send + Sync>> {
     let mut source = source::open(recording, SourceOptions { decoder_threads: 1, ..SourceOptions::default() })?;
     let mut script = Script::new()?;
     let mut segmenter = Segmenter::for_rig(rig)?;
@@ -42,7 +92,7 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
     let mut last: Option<(Estimate, Picture)> = None;
     while let Some(frame) = times.decode.time(|| source.next_frame())? {
         let picture = &frame.picture;
-        components += times.script(&mut script, picture)?;
+        components += script_on(&mut times.script, &mut script, picture)?;
         blobs += times.segment.time(|| segmenter.all_blobs(picture).map(<[_]>::len))?;
         if let Some((estimate, _)) = &last {
             let windows = windows_around(estimate);
@@ -54,44 +104,23 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
         last = Some((estimate, frame.picture));
     }
     let (_, picture) = last.ok_or("the recording has no frames")?;
-
-    let [width, height] = picture.size_px();
-    println!("{frames} frames of {width}x{height} in turns, one thread each, medians of its CPU time. A frame has");
-    println!(
-        "{:.2} components in the masks of OpenCV's script and {:.2} blobs in the segmentation.\n",
-        f64::from(components) / f64::from(frames),
-        blobs as f64 / f64::from(frames)
-    );
-    println!("{:42}{:>12}{:>18}{:>14}", "a frame", "Catoptra", "OpenCV's script", "ratio");
-    let (step, segment_windows) = (times.step.median_ms(), times.segment_windows.median_ms());
-    times.row("decoding", times.decode.median_ms());
-    times.row("segmentation, whole frame", times.segment.median_ms());
-    times.row(&format!("segmentation, windows of {} px", 2.0 * WINDOW_PX), segment_windows);
-    times.row("assignment, fit, tangent: the rest of step", step - segment_windows);
-    times.row("Tracker::step", step);
-    times.row("Tracker::step, whole frames searched", times.step_full_frame.median_ms());
-    for (name, picture) in worst_cases(rig, &picture)? {
-        let mut times = Times::default();
+    for ((of_script, of_segment), picture) in times.worst.iter_mut().zip(worst_cases(rig, &picture)?) {
         for _ in 0..RUNS {
-            times.script(&mut script, &picture)?;
-            times.segment.time(|| segmenter.all_blobs(&picture).map(<[_]>::len))?;
+            script_on(of_script, &mut script, &picture)?;
+            of_segment.time(|| segmenter.all_blobs(&picture).map(<[_]>::len))?;
         }
-        times.row(&format!("segmentation, {name}"), times.segment.median_ms());
     }
-    Ok(())
+    Ok(Round { times, frames, components, blobs, size_px: picture.size_px() })
 }
 
-impl Times {
-    /// Times OpenCV's script, without the copy of the planes; returns the number of components.
-    fn script(&mut self, script: &mut Script, picture: &Picture) -> Result<i32, Box<dyn Error + Send + Sync>> {
-        let planes = i420(picture)?;
-        Ok(self.script.time(|| script.components(&planes))?)
-    }
-
-    fn row(&self, name: &str, ms: f64) {
-        let script = self.script.median_ms();
-        println!("{name:42}{ms:>9.3} ms{script:>15.3} ms{:>12.1} x", script / ms);
-    }
+/// Times OpenCV's script, without the copy of the planes; returns the number of components.
+fn script_on(
+    times: &mut Stopwatch,
+    script: &mut Script,
+    picture: &Picture,
+) -> Result<i32, Box<dyn Error + Send + Sync>> {
+    let planes = i420(picture)?;
+    Ok(times.time(|| script.components(&planes))?)
 }
 
 /// Windows around the bands' places in a frame.
@@ -107,7 +136,7 @@ fn windows_around(estimate: &Estimate) -> Vec<Search> {
 }
 
 /// Pictures like `like` in which no part can be skipped: their cost is an upper bound for any picture.
-fn worst_cases(rig: &Rig, like: &Picture) -> Result<[(&'static str, Picture); 2], Box<dyn Error + Send + Sync>> {
+fn worst_cases(rig: &Rig, like: &Picture) -> Result<[Picture; WORST.len()], Box<dyn Error + Send + Sync>> {
     let coil =
         rig.markers.get(rig.catheter.coil).and_then(|marker| marker.colour(0)).ok_or("the coil has no colour")?;
     let ([width, height], format, colour) = (like.size_px(), like.format(), like.colour());
@@ -121,5 +150,5 @@ fn worst_cases(rig: &Rig, like: &Picture) -> Result<[(&'static str, Picture); 2]
     let noise = (0..3).map(|i| (0..samples(i)).map(|_| random.u8(..)).collect());
     let (full, noise) = (full.collect(), noise.collect());
     let picture = |planes| Picture::from_planes(width, height, format, colour, planes);
-    Ok([("all of the coil's colour", picture(full)?), ("random samples", picture(noise)?)])
+    Ok([picture(full)?, picture(noise)?])
 }

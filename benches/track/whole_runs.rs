@@ -1,7 +1,7 @@
 //! Runs of a whole recording compared with plain decoding, alternately: frames per second of libav decoding to nothing,
-//! of the source alone, and of the pipeline with and without the files of `catoptra track`.
+//! of the source alone, and of the pipeline with and without the files of `catoptra track`; by all cores, and by one.
 
-use super::stopwatch::median;
+use super::stopwatch::{median, with_spread};
 use catoptra::pipeline::{self, End};
 use catoptra::report::{ReportSink, RunInfo};
 use catoptra::rig::Rig;
@@ -41,21 +41,61 @@ const WAYS: [(&str, Way); 4] = [
 /// Measures and prints.
 pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + Send + Sync>> {
     let cores = std::thread::available_parallelism()?;
-    for (threads, title) in [(0, format!("one thread per core ({cores})")), (1, "--threads 1".to_owned())] {
-        let job = Job { recording: recording.to_path_buf(), rig: rig.clone(), threads };
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-        let rounds = (0..ROUNDS).map(|_| pool.install(|| round(&job))).collect::<Result<Vec<_>, _>>()?;
-        println!("\n{title:42}{:>16}{:>27}{:>15}", "frames per second", "of bare decoding", "CPU per frame");
-        for (i, (name, _)) in WAYS.iter().enumerate() {
-            let rate = median(rounds.iter().map(|round| round[i].rate));
-            let ratios = || rounds.iter().map(|round| round[i].rate / round[0].rate);
-            let (low, high) = ratios().fold((f64::INFINITY, 0.0_f64), |(low, high), r| (low.min(r), high.max(r)));
-            let ratio = format!("{:.2} ({low:.2} to {high:.2})", median(ratios()));
-            let cpu_ms = median(rounds.iter().map(|round| round[i].cpu_ms));
-            println!("{name:42}{rate:>16.0}{ratio:>27}{cpu_ms:>12.2} ms");
-        }
+    let job = |threads| Job { recording: recording.to_path_buf(), rig: rig.clone(), threads };
+    let all = rounds(&job(0))?;
+    print_rounds(&format!("all cores ({cores})"), &all);
+    print_rounds("--threads 1: the decoder and the tracker", &rounds(&job(1))?);
+    let Some(alone) = on_one_core(|| rounds(&job(1))) else {
+        println!("\nthis system keeps no program to one core");
+        return Ok(());
+    };
+    let alone = alone?;
+    print_rounds("--threads 1, kept to one core", &alone);
+    println!("\n{cores} cores against one");
+    for (i, (name, _)) in WAYS.iter().enumerate() {
+        let ratios = || all.iter().zip(&alone).map(|(all, alone)| all[i].rate / alone[i].rate);
+        println!("{name:42}{:>43}", with_spread(ratios, 2));
     }
     Ok(())
+}
+
+/// What repeated rounds gave.
+type Rounds = Vec<[Speed; WAYS.len()]>;
+
+fn rounds(job: &Job) -> Result<Rounds, Box<dyn Error + Send + Sync>> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(job.threads).build()?;
+    (0..ROUNDS).map(|_| pool.install(|| round(job))).collect()
+}
+
+fn print_rounds(title: &str, rounds: &Rounds) {
+    println!("\n{title:42}{:>16}{:>27}{:>15}", "frames per second", "of bare decoding", "CPU per frame");
+    for (i, (name, _)) in WAYS.iter().enumerate() {
+        let rate = median(rounds.iter().map(|round| round[i].rate));
+        let ratio = with_spread(|| rounds.iter().map(|round| round[i].rate / round[0].rate), 2);
+        let cpu_ms = median(rounds.iter().map(|round| round[i].cpu_ms));
+        println!("{name:42}{rate:>16.0}{ratio:>27}{cpu_ms:>12.2} ms");
+    }
+}
+
+/// Runs something on one core, with all threads that it starts; `None` where that cannot be had.
+fn on_one_core<T>(run: impl FnOnce() -> T) -> Option<T> {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+        let before = sched_getaffinity(None).ok()?;
+        let core = (0..CpuSet::MAX_CPU).find(|core| before.is_set(*core))?;
+        let mut one = CpuSet::new();
+        one.set(core);
+        sched_setaffinity(None, &one).ok()?;
+        let result = run();
+        sched_setaffinity(None, &before).ok()?;
+        Some(result)
+    }
+    #[cfg(not(target_os = "linux"))]
+    {
+        let _ = run;
+        None
+    }
 }
 
 #[derive(Default, Clone, Copy)]

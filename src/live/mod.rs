@@ -284,9 +284,8 @@ impl RowOutputs {
         tracing::error!("{error}; this controller receives nothing from now on; logging continues");
     }
 
-    /// Controllers first: they wait for it. `picture` is given of a frame that was tracked.
-    fn put(&mut self, estimate: Estimate, picture: Option<Picture>) {
-        let tracked = picture.is_some();
+    /// Controllers first: they wait for it.
+    fn put(&mut self, estimate: Estimate, tracked: bool) -> Arc<Estimate> {
         for (controller, works) in self.controllers.iter_mut().filter(|(_, works)| *works) {
             if let Err(error) = controller.write(&estimate, None) {
                 *works = false;
@@ -297,6 +296,11 @@ impl RowOutputs {
         let totals = self.counters.add(&estimate, tracked);
         self.subscribers.iter().for_each(|line| line.put(&estimate, totals.clone()));
         self.log.put(Entry::Frame(Arc::clone(&estimate), totals));
+        estimate
+    }
+
+    /// A frame that was tracked, once nothing more is read from its picture; of one that was not, only its row.
+    fn show(&mut self, estimate: Arc<Estimate>, picture: Option<Picture>) {
         let picture = picture.map(Arc::new);
         if let Some(latest) = &self.latest {
             latest.put(&estimate, picture.as_ref());
@@ -304,6 +308,11 @@ impl RowOutputs {
         if let (Some(pictures), Some(picture)) = (&mut self.pictures, picture) {
             pictures.put(estimate, picture);
         }
+    }
+
+    fn put_untracked(&mut self, row: Estimate) {
+        let row = self.put(row, false);
+        self.show(row, None);
     }
 }
 
@@ -315,12 +324,16 @@ fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut RowOutputs) -> Opti
             Next::Silence => continue,
             Next::Closed => return None,
         };
-        skipped.into_iter().for_each(|row| out.put(row, None));
+        skipped.into_iter().for_each(|row| out.put_untracked(row));
         let Some(frame) = frame else { continue };
-        match tracker.step(&frame) {
-            Ok(estimate) => out.put(estimate, Some(frame.picture)),
+        match tracker.measure(&frame) {
+            Ok((estimate, measured)) => {
+                let estimate = out.put(estimate, true);
+                tracker.learn(&frame, measured);
+                out.show(estimate, Some(frame.picture));
+            }
             Err(TrackError::Size { found, .. }) => {
-                out.put(Estimate::missed(&frame, tracker.rig(), &Miss::WrongSize { found }), None);
+                out.put_untracked(Estimate::missed(&frame, tracker.rig(), &Miss::WrongSize { found }));
             }
             Err(error) => {
                 let (seq, stamp): (u64, Timestamp) = (frame.seq, frame.stamp);

@@ -1,7 +1,7 @@
 //! The first, the best and the worst frame of a run, and their pictures.
 //!
-//! Best and worst are judged first by misses, then by σ. A picture is copied when its frame is the first, or a
-//! twentieth better or worse than the one kept: three pictures are in memory, and few are ever copied.
+//! Best and worst are judged first by misses, then by σ. A picture is kept when its frame is the first, or a twentieth
+//! better or worse than the one kept before: three are in memory.
 
 use super::html::Html;
 use super::page;
@@ -51,7 +51,7 @@ impl Quality {
         Self { missing, sd }
     }
 
-    /// Whether it is worse by enough to be worth a copy.
+    /// Whether it is clearly worse.
     fn worse_than(self, other: Self) -> bool {
         self.missing > other.missing || (self.missing == other.missing && self.sd > other.sd * STEP)
     }
@@ -78,8 +78,8 @@ impl Moments {
         let best = quality.sd.is_finite() && is(&self.best, |new, kept| kept.worse_than(new));
         let worst = is(&self.worst, Quality::worse_than);
         let keep = |wanted: bool, place: &mut Option<Moment>| {
-            if let Some(picture) = wanted.then(|| picture.copied()).flatten() {
-                *place = Some(Moment { estimate: estimate.clone(), picture, quality });
+            if wanted {
+                *place = Some(Moment { estimate: estimate.clone(), picture: picture.clone(), quality });
             }
         };
         keep(self.first.is_none(), &mut self.first);

@@ -133,7 +133,8 @@ fn reports_with_threads(codec: av::codec::Id) -> bool {
 /// Most frames that are stored before one that is shown earlier (H.264).
 pub(super) const MAX_REORDERED: i32 = 16;
 
-/// Threads for a decoder, 0 for one per core.
+/// Threads for a decoder, 0 for as many as keep the processor busy: one more than it has cores, as each waits for the
+/// pictures of others.
 ///
 /// H.264 with reordered pictures: a thread that gives out the picture of another copies its quantisers, though they may
 /// not all be known yet. So pictures are held back until that thread must be done.
@@ -144,7 +145,7 @@ fn set_threads(context: &mut av::codec::Context, codec: av::codec::Id, threads: 
     let mut threading = av::threading::Config::kind(kind);
     threading.count = match threads {
         _ if !reports_with_threads(codec) => 1,
-        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        0 => std::thread::available_parallelism().map_or(1, |cores| cores.get() + usize::from(cores.get() > 1)),
         threads => threads,
     };
     // SAFETY: the context is valid and not open yet; the decoder takes at least this delay.

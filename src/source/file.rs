@@ -31,7 +31,7 @@ use super::{
 /// How a recording is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Threads of the decoder; 0 for one per core. Some codecs always have one (`container`).
+    /// Threads of the decoder; 0 for as many as keep all cores busy. Some codecs always have one (`container`).
     pub decoder_threads: usize,
     /// Part of the recording to read.
     pub span: Span,

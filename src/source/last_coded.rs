@@ -6,26 +6,27 @@
 
 use super::{Picture, Plane, Quantisation};
 
-/// Remembers the blocks of the last picture.
+/// Remembers the last picture.
 #[derive(Default)]
 pub(crate) struct LastCoded {
     levels: Vec<u8>,
-    /// Of each channel, the rows that are compared.
-    rows: [Vec<u8>; 3],
+    before: Option<Picture>,
 }
 
 impl LastCoded {
     /// The quantisation of a picture of which the stream states this much: blocks that show what they showed in the
     /// picture before keep their levels.
     pub(crate) fn quantisation(&mut self, picture: &Picture, mut stated: Quantisation) -> Quantisation {
-        if self.levels.len() != stated.levels.len() {
+        let before = self.before.replace(picture.clone()).filter(|before| before.size_px() == picture.size_px());
+        let Some(before) = before.filter(|_| self.levels.len() == stated.levels.len()) else {
             self.levels.clone_from(&stated.levels);
-        }
+            return stated;
+        };
         // A block of the same level need not be compared.
         let levels = stated.levels.iter().zip(&self.levels);
         let mut coded: Vec<bool> = levels.map(|(level, before)| level == before).collect();
-        for (plane, rows) in (0..3).filter_map(|i| picture.plane(i)).zip(&mut self.rows) {
-            compare(&plane, rows, &stated, &mut coded);
+        for (now, before) in (0..3).filter_map(|i| picture.plane(i).zip(before.plane(i))) {
+            compare([&now, &before], &stated, &mut coded);
         }
         for ((level, before), coded) in stated.levels.iter_mut().zip(&mut self.levels).zip(coded) {
             if coded {
@@ -38,26 +39,21 @@ impl LastCoded {
     }
 }
 
-/// Compares some rows of each block with those of the picture before, which they replace. Blocks that differ were
-/// `coded`.
-fn compare(plane: &Plane<'_>, rows: &mut Vec<u8>, quantisation: &Quantisation, coded: &mut [bool]) {
-    let [width, height] = plane.scale.map(|scale| (quantisation.block_px / scale) as usize);
-    let (block, inner) = (width * plane.step, compared(width));
-    let inner = inner.start * plane.step..inner.end * plane.step;
-    let length = plane.row(0).map_or(0, <[u8]>::len);
-    let (used, columns) = (compared(height).step_by(APART), quantisation.columns.max(1) as usize);
-    rows.resize(coded.len().div_ceil(columns) * used.len() * length, 0);
-    let mut before = rows.chunks_exact_mut(length.max(1));
+/// Compares some rows of each block with those of the picture before. Blocks that differ were `coded`.
+fn compare([now, before]: [&Plane<'_>; 2], quantisation: &Quantisation, coded: &mut [bool]) {
+    let [width, height] = now.scale.map(|scale| (quantisation.block_px / scale) as usize);
+    let (block, inner) = (width * now.step, compared(width));
+    let inner = inner.start * now.step..inner.end * now.step;
+    let columns = quantisation.columns.max(1) as usize;
     for (j, coded) in coded.chunks_mut(columns).enumerate() {
-        for (y, before) in used.clone().zip(&mut before) {
-            let Some(row) = plane.row(j * height + y) else { continue };
-            let samples = row.chunks(block).zip(before.chunks(block));
+        for y in compared(height).step_by(APART) {
+            let [Some(now), Some(before)] = [now, before].map(|plane| plane.row(j * height + y)) else { continue };
+            let samples = now.chunks(block).zip(before.chunks(block));
             for (coded, (now, before)) in coded.iter_mut().zip(samples).filter(|(coded, _)| !**coded) {
                 // The picture may end within a block.
                 let inner = inner.start..inner.end.min(now.len());
                 *coded = now.get(inner.clone()) != before.get(inner);
             }
-            before.copy_from_slice(row);
         }
     }
 }

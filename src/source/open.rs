@@ -10,7 +10,7 @@ pub struct SourceOptions {
     pub span: Span,
     /// Frame rate the user states for a folder of pictures without times, or a raw stream.
     pub stated_rate: Option<FrameRate>,
-    /// Threads of the video decoder; 0 for one per core.
+    /// Threads of the video decoder; 0 for as many as keep all cores busy.
     pub decoder_threads: usize,
     /// Whether damaged pictures are passed on, marked, instead of left out.
     pub keep_damaged: bool,

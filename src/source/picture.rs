@@ -3,7 +3,7 @@
 use super::jpeg::Steps;
 use super::{Quantisation, Window};
 use nalgebra::{Matrix3, Vector3};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 /// How samples are stored, 8 bits each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -141,13 +141,14 @@ impl RgbFromStored {
     }
 }
 
-/// One picture, as it was decoded.
+/// One picture, as it was decoded. Clones share the samples.
+#[derive(Clone)]
 pub struct Picture {
     width: u32,
     height: u32,
     format: PixelFormat,
     colour: Colour,
-    storage: Storage,
+    storage: Arc<Storage>,
     quantisation: Option<Box<Quantisation>>,
     pub(super) reads: Reads,
 }
@@ -162,6 +163,14 @@ pub(super) struct Reads {
     /// Whether it interleaves the rows of two pictures.
     pub(super) interlaced: bool,
     pub(super) read: Mutex<Vec<Window>>,
+}
+
+impl Clone for Reads {
+    /// Of a copy nothing was read yet.
+    fn clone(&self) -> Self {
+        let Self { there, damaged, interlaced, read: _ } = self;
+        Self { there: there.clone(), damaged: *damaged, interlaced: *interlaced, read: Mutex::default() }
+    }
 }
 
 impl std::fmt::Debug for Picture {
@@ -287,13 +296,13 @@ impl Picture {
         if width == 0 || height == 0 {
             return Err(PictureError::Empty(width, height));
         }
-        let storage = Storage::Bytes(planes);
+        let storage = Arc::new(Storage::Bytes(planes));
         let picture = Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() };
         for channel in 0..format.channels() {
             let (plane, _, step, _) = format.layout(channel);
             let [w, h] = picture.samples(channel);
             let expected = w * h * step;
-            let found = match &picture.storage {
+            let found = match &*picture.storage {
                 Storage::Bytes(planes) => planes.get(plane).map_or(0, Vec::len),
                 Storage::Decoded(_) => expected,
             };
@@ -327,7 +336,7 @@ impl Picture {
     /// A decoded frame, without a copy. `format` must be the layout of the frame's own pixel format.
     pub(crate) fn from_decoded(frame: ffmpeg_the_third::frame::Video, format: PixelFormat, colour: Colour) -> Self {
         let (width, height) = (frame.width(), frame.height());
-        let storage = Storage::Decoded(frame);
+        let storage = Arc::new(Storage::Decoded(frame));
         Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() }
     }
 
@@ -362,30 +371,6 @@ impl Picture {
     /// How coarsely its coder quantised it; `None` when unknown or lossless.
     pub fn quantisation(&self) -> Option<&Quantisation> {
         self.quantisation.as_deref()
-    }
-
-    /// A copy independent of the decoder, with a plane for each channel. `None` when the decoder gave less than it
-    /// declared.
-    pub(crate) fn copied(&self) -> Option<Self> {
-        let format = match self.format {
-            PixelFormat::Nv12 => PixelFormat::Yuv { chroma_log2: [1, 1] },
-            PixelFormat::RgbPacked { .. } => PixelFormat::RgbPlanar,
-            other => other,
-        };
-        let samples = |plane: Plane<'_>| -> Vec<u8> {
-            // Row by row: byte by byte is noticeably slower on a short recording.
-            let mut all = Vec::with_capacity(plane.width * plane.height);
-            for row in (0..plane.height).filter_map(|j| plane.row(j)) {
-                match plane.step {
-                    1 => all.extend_from_slice(row.get(..plane.width).unwrap_or(row)),
-                    step => all.extend(row.iter().step_by(step).take(plane.width)),
-                }
-            }
-            all
-        };
-        let planes = (0..format.channels()).filter_map(|channel| self.plane(channel)).map(samples).collect();
-        let copy = Self::from_planes(self.width, self.height, format, self.colour, planes).ok()?;
-        Some(copy.quantised(self.quantisation().cloned()))
     }
 
     /// Width and height, pixels.
@@ -430,7 +415,7 @@ impl Picture {
         }
         let (plane, first, step, sub) = self.format.layout(i);
         let [width, height] = self.samples(i);
-        let (bytes, stride) = match &self.storage {
+        let (bytes, stride) = match &*self.storage {
             Storage::Bytes(planes) => (planes.get(plane)?.as_slice(), width * step),
             Storage::Decoded(frame) => {
                 // libav stores planar RGB as G, B, R.
@@ -482,28 +467,15 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_has_the_samples_of_every_storage() {
-        let bytes = |n: u8| (0..n).collect::<Vec<u8>>();
-        let pictures = [
-            (YUV420, vec![bytes(24), bytes(6), bytes(6)]),
-            (PixelFormat::Nv12, vec![bytes(24), bytes(12)]),
-            (PixelFormat::RgbPacked { step: 4, order: [2, 1, 0] }, vec![bytes(96)]),
-            (PixelFormat::Grey, vec![bytes(24)]),
-        ];
-        for (format, planes) in pictures {
-            let picture = Picture::from_planes(6, 4, format, Colour::SRGB, planes).unwrap();
-            let copy = picture.copied().unwrap();
-            for channel in 0..format.channels() {
-                let (a, b) = (picture.plane(channel).unwrap(), copy.plane(channel).unwrap());
-                assert_eq!((a.width, a.height, a.scale), (b.width, b.height, b.scale), "{format:?}");
-                for j in 0..a.height {
-                    let [a, b] = [(&a, j), (&b, j)].map(|(plane, j)| {
-                        plane.row(j).unwrap().iter().step_by(plane.step).take(plane.width).copied().collect::<Vec<_>>()
-                    });
-                    assert_eq!(a, b, "{format:?}, channel {channel}, row {j}");
-                }
-            }
-        }
+    fn a_clone_shares_the_samples_and_keeps_its_own_account_of_what_is_read() {
+        let picture = Picture::from_planes(4, 4, PixelFormat::Grey, Colour::SRGB, vec![vec![7; 16]]).unwrap();
+        let whole = Window::whole([4, 4]);
+        picture.declare_read(whole).unwrap();
+        let clone = picture.clone();
+        assert!(std::ptr::eq(picture.plane(0).unwrap().data, clone.plane(0).unwrap().data));
+        assert_eq!((picture.windows_read(0), clone.windows_read(0)), (vec![whole], vec![]));
+        let part = Window { x1: 2, ..whole };
+        assert!(picture.of_parts(vec![part]).marked_damaged().clone().is_damaged());
     }
 
     #[test]

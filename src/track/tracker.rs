@@ -83,6 +83,14 @@ pub enum TrackError {
     Segment(#[from] SegmentError),
 }
 
+/// What a frame was measured from.
+pub(crate) struct Measured {
+    found: Found,
+    fitted: Vec<Fitted>,
+    /// How far the coil moved since it was last seen, pixels.
+    moved_px: Option<f64>,
+}
+
 /// Follows the markers from frame to frame.
 pub struct Tracker {
     rig: Rig,
@@ -155,24 +163,43 @@ impl Tracker {
     /// # Errors
     /// When the picture does not fit the rig.
     pub fn step(&mut self, frame: &Frame) -> Result<Estimate, TrackError> {
+        let (estimate, measured) = self.measure(frame)?;
+        self.learn(frame, measured);
+        Ok(estimate)
+    }
+
+    /// Only the measurement, for which somebody may be waiting. What later frames need from it is to be learned before
+    /// the next one.
+    pub(crate) fn measure(&mut self, frame: &Frame) -> Result<(Estimate, Option<Measured>), TrackError> {
         let picture = &frame.picture;
         if picture.size_px() != self.rig.camera.size_px {
             return Err(TrackError::Size { found: picture.size_px(), expected: self.rig.camera.size_px });
         }
+        let missed = |why: &Miss| Estimate::missed(frame, &self.rig, why);
         if picture.is_damaged() {
-            return Ok(Estimate::missed(frame, &self.rig, &Miss::Damaged));
+            return Ok((missed(&Miss::Damaged), None));
         }
         if picture.is_interlaced() {
-            return Ok(Estimate::missed(frame, &self.rig, &Miss::Interlaced));
+            return Ok((missed(&Miss::Interlaced), None));
         }
         if self.repeats.is_repeated(picture, frame.stamp) {
-            return Ok(Estimate::missed(frame, &self.rig, &Miss::Repeated));
+            return Ok((missed(&Miss::Repeated), None));
         }
         let tick = self.lamp.as_mut().and_then(|lamp| lamp.step(picture));
-        Ok(Estimate { tick, ..self.measure(frame)? })
+        let (estimate, measured) = self.measure_bands(frame)?;
+        let estimate = estimate.unwrap_or_else(|why| Estimate::missed(frame, &self.rig, &why));
+        Ok((Estimate { tick, ..estimate }, measured))
     }
 
-    fn measure(&mut self, frame: &Frame) -> Result<Estimate, TrackError> {
+    /// What later frames need from a measured one: its shapes, and sometimes whether another blur fits it better.
+    pub(crate) fn learn(&mut self, frame: &Frame, measured: Option<Measured>) {
+        let Some(Measured { found, fitted, moved_px }) = measured else { return };
+        self.follow_blur(frame, &found, &fitted, moved_px);
+        self.keep_shapes(frame.stamp, &fitted);
+    }
+
+    /// The estimate of a frame, or why there is none.
+    fn measure_bands(&mut self, frame: &Frame) -> Result<(Result<Estimate, Miss>, Option<Measured>), TrackError> {
         let picture = &frame.picture;
         if picture.colour().transfer != self.transfer && self.rig.camera.gamma.is_none() {
             self.transfer = picture.colour().transfer;
@@ -183,7 +210,7 @@ impl Tracker {
         self.model.chroma_offset_px = [0, 1].map(|axis| taught[axis] - self.judge.mean_slip_px[axis]);
         // 1. blobs and their assignment to markers and views
         let found = match self.finder.find(&self.rig, frame) {
-            Err(SegmentError::NotRecorded(_)) => return Ok(Estimate::missed(frame, &self.rig, &Miss::NotRecorded)),
+            Err(SegmentError::NotRecorded(_)) => return Ok((Err(Miss::NotRecorded), None)),
             found => found?,
         };
         self.pairs.add(picture, &found.blobs);
@@ -194,17 +221,15 @@ impl Tracker {
         self.judge.judge(&self.rig, &self.model.encoding, &found, &mut fitted);
         let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
         views.filter_map(|view| view.grain.as_ref()).for_each(|grain| self.grain.add(grain));
-        self.look_at_motion(frame, &found, &fitted);
+        let moved_px = self.look_at_motion(frame.stamp, &fitted);
         if self.fields.are_woven() {
-            self.keep_shapes(frame.stamp, &fitted);
-            return Ok(Estimate::missed(frame, &self.rig, &Miss::Interlaced));
+            return Ok((Err(Miss::Interlaced), Some(Measured { found, fitted, moved_px })));
         }
         // 3. positions, tangent, deflection
         let mut estimate = answer::estimate(&self.rig, &self.model.encoding, frame, &found.assigned, &fitted);
         if self.repeats.stands_still(&estimate) {
-            return Ok(Estimate::missed(frame, &self.rig, &Miss::Repeated));
+            return Ok((Err(Miss::Repeated), None));
         }
-        self.keep_shapes(frame.stamp, &fitted);
         // 4. implausible motion becomes a miss
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         // Before σ is widened: pictures that repeat scatter.
@@ -221,7 +246,7 @@ impl Tracker {
                 self.finder.remember(m, position.point, frame.stamp);
             }
         }
-        Ok(estimate)
+        Ok((Ok(estimate), Some(Measured { found, fitted, moved_px })))
     }
 
     /// What to warn of in the pictures, each once.
@@ -295,23 +320,29 @@ impl Tracker {
         GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, base_rests, margin_px }
     }
 
-    /// What the motion of the coil since the last frame tells of the pictures.
-    fn look_at_motion(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
-        let shows_coil = |fitted: &&Fitted| fitted.group.members.iter().any(|(m, _)| *m == self.rig.catheter.coil);
-        let Some(of_coil) = fitted.iter().find(shows_coil) else { return };
-        let Ok(fit) = &of_coil.result else { return };
+    /// What the motion of the coil since the last frame tells of the pictures; how far that was, pixels, if it was seen.
+    fn look_at_motion(&mut self, stamp: Timestamp, fitted: &[Fitted]) -> Option<f64> {
+        let (of_coil, fit) = self.of_coil(fitted)?;
+        let ways_px = self.ways_px(stamp, of_coil, fit);
         of_coil.views.iter().zip(&fit.views).for_each(|(v, view)| self.fringes.add(*v, &view.colour_shifts));
-        let Some(ways_px) = self.ways_px(frame.stamp, of_coil, fit) else { return };
+        let ways_px = ways_px?;
         for (view, way_px) in fit.views.iter().zip(&ways_px) {
             let [across, _] = view.image.at_arc(0.0).axes();
             self.fields.add(&view.rows, across.dot(way_px));
         }
-        let moved_px = ways_px.iter().map(Vector2::norm).fold(0.0, f64::max);
-        self.follow_blur(frame, found, (of_coil, fit), moved_px);
+        Some(ways_px.iter().map(Vector2::norm).fold(0.0, f64::max))
+    }
+
+    /// The coil's group, if it was fitted.
+    fn of_coil<'f>(&self, fitted: &'f [Fitted]) -> Option<(&'f Fitted, &'f TubeFit)> {
+        let shows_coil = |fitted: &&Fitted| fitted.group.members.iter().any(|(m, _)| *m == self.rig.catheter.coil);
+        let of_coil = fitted.iter().find(shows_coil)?;
+        Some((of_coil, of_coil.result.as_ref().ok()?))
     }
 
     /// Fits the coil of some frames with less and with more blur too, of the lens or of the motion, and follows it.
-    fn follow_blur(&mut self, frame: &Frame, found: &Found, (of_coil, fit): (&Fitted, &TubeFit), moved_px: f64) {
+    fn follow_blur(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted], moved_px: Option<f64>) {
+        let (Some((of_coil, fit)), Some(moved_px)) = (self.of_coil(fitted), moved_px) else { return };
         // In blended pictures what moves looks out of focus.
         let blended = self.blending.is_seen();
         if !blended && let Some(tries) = self.focus.tries(frame.stamp, moved_px) {

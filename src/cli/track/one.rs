@@ -56,7 +56,7 @@ pub(super) struct Request<'a> {
     pub(super) rig: &'a LoadedRig,
     pub(super) options: &'a Options,
     pub(super) files: &'a Files,
-    /// Threads of the decoder, 0 for one per core.
+    /// Threads of the decoder, 0 for as many as keep all cores busy.
     pub(super) threads: usize,
     /// Those of the tracker.
     pub(super) pool: &'a ThreadPool,
