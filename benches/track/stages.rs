@@ -57,11 +57,11 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
         f64::from(components) / f64::from(frames),
         blobs as f64 / f64::from(frames)
     );
-    println!("{:42}{:>12}{:>18}{:>23}", "a frame", "Catoptra", "OpenCV's script", "ratio");
+    println!("{:42}{:>12}{:>18}{:>27}", "a frame", "Catoptra", "OpenCV's script", "ratio");
     let row = |name: &str, of: &dyn Fn(&Times) -> f64, script: &dyn Fn(&Times) -> f64| {
         let typical = |of: &dyn Fn(&Times) -> f64| median(rounds.iter().map(|round| of(&round.times)));
         let ratio = with_spread(|| rounds.iter().map(|round| script(&round.times) / of(&round.times)), 1);
-        println!("{name:42}{:>9.3} ms{:>15.3} ms{ratio:>21} x", typical(of), typical(script));
+        println!("{name:42}{:>9.3} ms{:>15.3} ms{ratio:>25} x", typical(of), typical(script));
     };
     let stage = |name: &str, of: &dyn Fn(&Times) -> f64| row(name, of, &|times| times.script.median_ms());
     stage("decoding", &|times| times.decode.median_ms());
