@@ -117,9 +117,17 @@ struct Latency {
     all: f64,
     /// Until θ was sent.
     until_sent: f64,
-    /// What the tracker's thread computed since θ of the frame before was sent: this frame, and before it what was to be
-    /// learned from that one.
+    /// What the tracker's thread computed since θ of the frame before was sent: what was to be learned from that frame,
+    /// then this one.
     computed: f64,
+}
+
+impl Latency {
+    /// All of it, and what it was spent on: computing, waiting, delivery.
+    fn parts(&self) -> [f64; 4] {
+        let Self { all, until_sent, computed } = *self;
+        [all, computed, (until_sent - computed).max(0.0), all - until_sent]
+    }
 }
 
 /// A controller's line that notes for each frame when θ was sent, and the processor time of the tracker's thread.
@@ -260,21 +268,16 @@ fn print_slowest(hz: f64, latencies: &BTreeMap<u64, Latency>) {
     frames.sort_by(|a, b| b.1.all.total_cmp(&a.1.all));
     println!("\nthe {SLOWEST} slowest at {hz} Hz, milliseconds");
     println!("{:>8} {:>9} {:>10} {:>9} {:>10}", "frame", "latency", "computing", "waiting", "delivery");
-    let row = |name: &str, of: &dyn Fn(fn(&Latency) -> f64) -> f64| {
-        let [all, computed, waited, delivered] = [
-            of(|latency| latency.all),
-            of(|latency| latency.computed),
-            of(|latency| (latency.until_sent - latency.computed).max(0.0)),
-            of(|latency| latency.all - latency.until_sent),
-        ];
+    let print = |name: &str, [all, computed, waited, delivered]: [f64; 4]| {
         println!("{name:>8} {all:>9.2} {computed:>10.2} {waited:>9.2} {delivered:>10.2}");
     };
     for (seq, latency) in frames.iter().take(SLOWEST) {
-        row(&seq.to_string(), &|part| part(latency));
+        print(&seq.to_string(), latency.parts());
     }
     println!("all frames, each column by itself");
+    let columns = [0, 1, 2, 3].map(|i| p50_p99_max(frames.iter().map(|(_, latency)| latency.parts()[i])));
     for (name, at) in [("p50", 0), ("p99", 1)] {
-        row(name, &|part| p50_p99_max(frames.iter().map(|(_, latency)| part(latency)))[at]);
+        print(name, columns.map(|column| column[at]));
     }
 }
 

@@ -25,10 +25,3 @@ pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
     sorted.sort_by(f64::total_cmp);
     sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
 }
-
-/// The median of values, and the least and the largest.
-#[allow(dead_code, reason = "not every benchmark has several")]
-pub(crate) fn with_spread<V: Iterator<Item = f64>>(values: impl Fn() -> V, digits: usize) -> String {
-    let (low, high) = values().fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
-    format!("{:.digits$} ({low:.digits$} to {high:.digits$})", median(values()))
-}

@@ -12,6 +12,7 @@ mod looped;
 mod opencv_script;
 mod program;
 mod recoded;
+mod spread;
 mod stages;
 #[path = "../support/stopwatch.rs"]
 mod stopwatch;

@@ -1,7 +1,7 @@
 //! The program as users run it: from its start to the first row, and the memory it takes as a recording gets longer.
 
 use super::looped::looped;
-use super::stopwatch::with_spread;
+use super::spread::with_spread;
 use std::error::Error;
 use std::io::{BufRead, BufReader};
 use std::path::Path;

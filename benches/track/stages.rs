@@ -2,7 +2,8 @@
 //! the whole recording several times.
 
 use super::opencv_script::{Script, i420};
-use super::stopwatch::{Stopwatch, median, with_spread};
+use super::spread::with_spread;
+use super::stopwatch::{Stopwatch, median};
 use catoptra::estimate::Estimate;
 use catoptra::rig::Rig;
 use catoptra::segment::{Search, Segmenter, Window};

@@ -1,7 +1,8 @@
 //! Runs of a whole recording compared with plain decoding, alternately: frames per second of libav decoding to nothing,
 //! of the source alone, and of the pipeline with and without the files of `catoptra track`; by all cores, and by one.
 
-use super::stopwatch::{median, with_spread};
+use super::spread::with_spread;
+use super::stopwatch::median;
 use catoptra::pipeline::{self, End};
 use catoptra::report::{ReportSink, RunInfo};
 use catoptra::rig::Rig;

@@ -3,7 +3,7 @@
 //! | thread | does | waits for |
 //! |---|---|---|
 //! | `camera` | takes frames out of the source | the camera |
-//! | `tracker` | tracks them, sends θ to controllers at once | frames |
+//! | `tracker` | tracks them, sends θ to controllers at once, then learns for later frames | frames |
 //! | `log` | writes log, table, report | rows |
 //! | `pictures` | records pictures, while wanted | tracked frames |
 //! | `publisher` | serves subscribers | rows |

@@ -475,7 +475,8 @@ mod tests {
         assert!(std::ptr::eq(picture.plane(0).unwrap().data, clone.plane(0).unwrap().data));
         assert_eq!((picture.windows_read(0), clone.windows_read(0)), (vec![whole], vec![]));
         let part = Window { x1: 2, ..whole };
-        assert!(picture.of_parts(vec![part]).marked_damaged().clone().is_damaged());
+        let damaged = picture.of_parts(vec![part]).marked_damaged().clone();
+        assert_eq!((damaged.recorded(), damaged.is_damaged()), (Some(&[part][..]), true));
     }
 
     #[test]

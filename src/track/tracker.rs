@@ -320,12 +320,11 @@ impl Tracker {
         GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, base_rests, margin_px }
     }
 
-    /// What the motion of the coil since the last frame tells of the pictures; how far that was, pixels, if it was seen.
+    /// What the motion of the coil since the last frame tells of the pictures; how far it was, pixels, if it was seen.
     fn look_at_motion(&mut self, stamp: Timestamp, fitted: &[Fitted]) -> Option<f64> {
         let (of_coil, fit) = self.of_coil(fitted)?;
-        let ways_px = self.ways_px(stamp, of_coil, fit);
         of_coil.views.iter().zip(&fit.views).for_each(|(v, view)| self.fringes.add(*v, &view.colour_shifts));
-        let ways_px = ways_px?;
+        let ways_px = self.ways_px(stamp, of_coil, fit)?;
         for (view, way_px) in fit.views.iter().zip(&ways_px) {
             let [across, _] = view.image.at_arc(0.0).axes();
             self.fields.add(&view.rows, across.dot(way_px));
