@@ -163,8 +163,8 @@ fn tried(rig: &Rig, (hz, seconds): (f64, f64), ring: &Arc<[Picture]>, folder: &P
     let controllers: Vec<Box<dyn Sink + Send>> =
         vec![Box::new(Noted { line, clock, notes: Arc::clone(&notes), computed_ms: 0.0 })];
     let received = std::thread::spawn(move || {
-        // A controller is on another machine, or has the same priority.
-        set_priority(-15);
+        // A controller is on another machine, or as urgent.
+        as_the_tracker();
         let (mut bytes, mut at) = ([0; 4096], BTreeMap::new());
         while let Ok(length) = receiver.recv(&mut bytes) {
             let now_ns = clock.now_ns();
@@ -204,12 +204,17 @@ fn thread_ms() -> f64 {
     time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 * 1e-6
 }
 
-/// How far this thread goes before others, where it may ("nice").
-fn set_priority(nice: i32) {
+/// Schedules this thread as the tracker is, where it may.
+fn as_the_tracker() {
     #[cfg(target_os = "linux")]
-    let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), nice);
-    #[cfg(not(target_os = "linux"))]
-    let _ = nice;
+    {
+        use thread_priority::{
+            RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy,
+        };
+        let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::RoundRobin);
+        let priority = ThreadPriority::Crossplatform(10_u8.try_into().unwrap());
+        let _ = set_thread_priority_and_policy(thread_priority::thread_native_id(), priority, policy);
+    }
 }
 
 /// Latencies of datagrams that are sent when a frame would arrive, milliseconds: what the machine takes for waking two
@@ -221,20 +226,22 @@ fn of_machine(hz: f64, seconds: f64) -> Vec<f64> {
     sender.connect(receiver.local_addr().unwrap()).unwrap();
     let began = Instant::now();
     let received = std::thread::spawn(move || {
-        set_priority(-15);
+        as_the_tracker();
         let (mut due, mut late) = ([0; 8], Vec::new());
         while receiver.recv(&mut due).is_ok() {
             late.push((began.elapsed().as_nanos() as f64 - u64::from_le_bytes(due) as f64) * 1e-6);
         }
         late
     });
-    set_priority(-15);
-    for i in 1..=(hz * seconds) as u32 {
-        let due = Duration::from_secs_f64(f64::from(i) / hz);
-        wait_until(began + due);
-        sender.send(&(due.as_nanos() as u64).to_le_bytes()).unwrap();
-    }
-    set_priority(0);
+    let sent = std::thread::spawn(move || {
+        as_the_tracker();
+        for i in 1..=(hz * seconds) as u32 {
+            let due = Duration::from_secs_f64(f64::from(i) / hz);
+            wait_until(began + due);
+            sender.send(&(due.as_nanos() as u64).to_le_bytes()).unwrap();
+        }
+    });
+    sent.join().unwrap();
     received.join().unwrap()
 }
 
@@ -242,6 +249,7 @@ fn of_machine(hz: f64, seconds: f64) -> Vec<f64> {
 /// second does not come before the first has finished.
 fn second_thread(hz: f64, seconds: f64) -> Vec<f64> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    pool.broadcast(|_| as_the_tracker());
     let began = Instant::now();
     pool.install(|| {
         let late = |i: u32| {

@@ -14,8 +14,8 @@
 //! tracker few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their
 //! rows (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that
 //! writes or publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that
-//! fails is reported at once while everything else goes on. Where the system allows, camera and tracker run before all
-//! else, and pictures behind.
+//! fails is reported at once while everything else goes on. Where the system allows, camera and tracker are scheduled in
+//! real time, and pictures behind everything else.
 
 mod currents;
 mod latest;
@@ -64,6 +64,8 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(4);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// How often it tells how it goes.
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
+/// A tracker that fell behind is urgent again when it has passed over no frame for so long.
+const RECOVERY: Duration = Duration::from_secs(5);
 /// Where the rows of a live run go.
 #[derive(Default)]
 pub struct Outputs {
@@ -154,7 +156,6 @@ pub fn run(
             .spawn(move || log_currents(&samples, &log, &subscribers, latest.as_deref(), &stop))
     });
     let currents = currents.transpose()?;
-    pool.broadcast(|_| run_as(Urgency::Tracker));
     let tracking = {
         let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
         let controllers = outputs.controllers.into_iter().map(|sink| (sink, true)).collect();
@@ -318,12 +319,26 @@ impl RowOutputs {
 
 /// Tracks all frames; why it ended early, if it did.
 fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut RowOutputs) -> Option<End> {
+    let all_run_as = |urgency: Urgency| {
+        rayon::broadcast(|_| run_as(urgency));
+    };
+    all_run_as(Urgency::Tracker);
+    let mut fell_behind: Option<Instant> = None;
     loop {
         let (skipped, frame) = match queue.next(REPORT_INTERVAL) {
             Next::Frames(skipped, frame) => (skipped, frame),
             Next::Silence => continue,
             Next::Closed => return None,
         };
+        if !skipped.is_empty() {
+            // Whatever else runs must not starve meanwhile: the log, and the system.
+            if fell_behind.replace(Instant::now()).is_none() {
+                all_run_as(Urgency::Soon);
+            }
+        } else if fell_behind.is_some_and(|since| since.elapsed() > RECOVERY) {
+            fell_behind = None;
+            all_run_as(Urgency::Tracker);
+        }
         skipped.into_iter().for_each(|row| out.put_untracked(row));
         let Some(frame) = frame else { continue };
         match tracker.measure(&frame) {

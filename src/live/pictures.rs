@@ -138,7 +138,7 @@ struct Recorder {
 impl Recorder {
     fn run(mut self, line: &Receiver<QueuedPicture>) -> Option<SinkError> {
         // The first picture and what its file begins with are soon on the disk, whatever else wants the processor.
-        run_as(Urgency::Tracker);
+        run_as(Urgency::Soon);
         let mut first = true;
         loop {
             let taken = match line.recv_timeout(POLL_INTERVAL) {

@@ -224,7 +224,7 @@ fn lines(summary: &LiveSummary, recorded_from_the_beginning: bool) -> String {
         ms(latency.max_us)
     );
     if summary.run.tally.reasons("tangent").iter().any(|(word, _)| *word == "skipped_overload")
-        && summary.priority != Priority::Raised
+        && matches!(summary.priority, Priority::Ordinary | Priority::WithinSession)
     {
         text += &format!("{}\n", summary.priority);
     }
