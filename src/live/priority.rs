@@ -180,8 +180,8 @@ mod tests {
         matches!(thread_schedule_policy(), Ok(ThreadSchedulePolicy::Realtime(_)))
     }
 
-    fn nice() -> i32 {
-        rustix::process::getpriority_process(Some(rustix::thread::gettid())).unwrap()
+    fn nice() -> Option<i32> {
+        rustix::process::getpriority_process(Some(rustix::thread::gettid())).ok()
     }
 
     #[test]
@@ -213,9 +213,10 @@ mod tests {
         let seen = seen.join().unwrap();
         let real_time = obtained == Priority::RealTime;
         assert_eq!(seen.map(|(is, _)| is), [real_time, real_time, false, real_time, false], "{obtained:?}");
-        assert_eq!(seen[4].1, 5);
-        if real_time && nice() == 0 && seen[0].1 < 0 {
-            assert_eq!(seen.map(|(_, nice)| nice), [-15, -10, -10, -10, 5]);
+        assert_eq!(seen[4].1, Some(5));
+        // Real time may be allowed where a lower nice value is not.
+        if seen[0].1 == Some(-15) {
+            assert_eq!(seen.map(|(_, nice)| nice), [-15, -10, -10, -10, 5].map(Some));
         }
     }
 }

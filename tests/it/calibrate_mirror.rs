@@ -6,6 +6,7 @@ use crate::support::moved_mirror::moved;
 use crate::support::truth::score::rms_and_aligned;
 use crate::support::truth::{frames, rig, track, truth};
 use catoptra::calibrate::geometry::tilt_axes;
+use catoptra::optics::Surface;
 use catoptra::rig::Rig;
 use catoptra::tally::{Drift, Drifted};
 use catoptra::track::TrackOptions;
@@ -142,4 +143,10 @@ fn wrong_arguments_are_named() {
     let place = Place::with(&rig);
     let said = ended_with(&calibrate(&place, "rest.mkv", &[]), 2);
     assert!(said.contains("view `direct` has no region_px"), "{said}");
+    let mut in_air = crate::support::truth::rig();
+    in_air.surfaces.retain(|_, surface| matches!(surface, Surface::Mirror(_)));
+    in_air.views.iter_mut().for_each(|view| view.path.retain(|name| in_air.surfaces.contains_key(name)));
+    let place = Place::with(&in_air);
+    let said = ended_with(&calibrate(&place, "planar.mkv", &["--length", "none"]), 2);
+    assert!(said.contains("State a length with --length"), "{said}");
 }

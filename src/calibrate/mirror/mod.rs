@@ -134,6 +134,12 @@ pub enum MirrorError {
     /// A short recording.
     #[error("it has only {0} frames; at least {MIN_FRAMES} in which bands are seen in two views are needed")]
     TooShort(usize),
+    /// Neither a length nor a wall.
+    #[error(
+        "in air, rays alone do not give the mirror's distance: a scene twice as large, twice as far away, looks the \
+         same. State a length with --length"
+    )]
+    NoScale,
     /// Too few bands are seen.
     #[error("bands are seen in two views at once in only {seen} of {frames} frames; at least {MIN_FRAMES} are needed")]
     TooFew {
@@ -196,6 +202,9 @@ pub fn calibrate_mirror(
         return Err(MirrorError::NoMirror { name, known: mirrors(rig) });
     };
     let lengths = known_lengths(rig, length);
+    if lengths.is_empty() && !rig.surfaces.values().any(|surface| matches!(surface, Surface::Wall(_))) {
+        return Err(MirrorError::NoScale);
+    }
     let frames = spread(source, FRAMES)?;
     let free = Parameter::of_surface(surface).to_vec();
 

@@ -113,6 +113,7 @@ fn failure(args: &MirrorArgs, error: MirrorError) -> Failure {
         MirrorError::NoMirror { .. }
         | MirrorError::WhichMirror { .. }
         | MirrorError::NoRegion(_)
+        | MirrorError::NoScale
         | MirrorError::Track(_)
         | MirrorError::Segment(_) => return Failure::usage(format!("{}: {error}", args.rig.display())),
         MirrorError::TooShort(_)

@@ -8,7 +8,8 @@
 //! moment.
 //!
 //! The error of the image model for a band in a view is the same in every frame and does not average out, so it is a
-//! parameter, along and across the band, with prior 0 and its σ. So is the error of a known length. The covariance
+//! parameter, along and across the band, with prior 0 and its σ. So are the error of a known length and that of how much
+//! bending shortens it: distances that vary as the tube bends must not tell how large the scene is. The covariance
 //! includes these errors; everything that is not free is assumed exact.
 
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
@@ -19,6 +20,8 @@ use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Vector2, Vector3};
 
 /// Steps of the positions alone after each step of the shared unknowns.
 const PLACE_STEPS: usize = 2;
+/// σ of the relative error of a known length's shortening: the bend is not the arc that is assumed.
+const SHORTENING_SD: f64 = 0.5;
 /// Least part by which the rays reduce a known length's variance for their own value to be told.
 const LEAST_LEARNED: f64 = 1e-6;
 /// End of the search.
@@ -107,7 +110,8 @@ pub(crate) struct RayBundleSolution {
 #[derive(Clone)]
 struct State {
     geometry: Geometry,
-    /// Free parameters since the start, errors of the image model, errors of lengths.
+    /// Free parameters since the start, errors of the image model, errors of lengths, relative errors of their
+    /// shortening.
     common: DVector<f64>,
     /// For each moment and marker.
     places: Vec<Vec<Option<Point3<f64>>>>,
@@ -126,7 +130,7 @@ impl State {
 impl RayBundle<'_> {
     /// Solves, starting from `self`; `None` when the sightings do not determine the solution.
     pub(crate) fn solve(self) -> Option<RayBundleSolution> {
-        let count = self.free.len() + 2 * self.views() * self.model_sd_px.len() + self.lengths.len();
+        let count = self.length_error(self.lengths.len()) + self.lengths.len();
         let places = self.moments.iter().map(|moment| places(&self.geometry, moment, self.model_sd_px.len())).collect();
         let start = State { geometry: self.geometry.clone(), common: DVector::zeros(count), places };
         let (state, equations) =
@@ -134,9 +138,8 @@ impl RayBundle<'_> {
         let free = self.free.len();
         let covariance = equations.covariance()?;
         let misfit = self.misfit(&state)?;
-        let of_lengths = count - self.lengths.len();
         let rays = |(k, known): (usize, &KnownLength)| {
-            let at = of_lengths + k;
+            let at = self.length_error(k);
             known.by_rays(*state.common.get(at)?, *covariance.get((at, at))?)
         };
         Some(RayBundleSolution {
@@ -180,6 +183,11 @@ impl RayBundle<'_> {
     /// Index of the error along a band in a view; the one across it follows.
     fn model_error(&self, sight: &Sight) -> usize {
         self.free.len() + 2 * (sight.marker * self.views() + sight.view)
+    }
+
+    /// Index of the error of a known length. Those of their shortening follow in the same order.
+    fn length_error(&self, k: usize) -> usize {
+        self.free.len() + 2 * self.views() * self.model_sd_px.len() + k
     }
 
     /// The state after a step of the shared unknowns, with the positions that fit it best: a mirror's weak directions
@@ -264,10 +272,11 @@ impl RayBundle<'_> {
         let [Some((slot_a, a)), Some((slot_b, b))] = ends else { return };
         let chord = b - a;
         let direction = chord / chord.norm().max(f64::MIN_POSITIVE) / self.length_scatter_m;
-        let error = state.common.len() - self.lengths.len() + k;
+        let error = self.length_error(k);
         let Some(residual) = self.length_residual(state, (k, length, shorter_m), chord.norm()) else { return };
         let (mut common, mut own) = (vec![0.0; state.common.len()], vec![0.0; unknowns(places)]);
         common[error] = -1.0 / self.length_scatter_m;
+        common[error + self.lengths.len()] = shorter_m / self.length_scatter_m;
         for (i, d) in direction.iter().enumerate() {
             own[slot_a + i] = -d;
             own[slot_b + i] = *d;
@@ -282,15 +291,17 @@ impl RayBundle<'_> {
         (k, length, shorter_m): (usize, &KnownLength, f64),
         chord_m: f64,
     ) -> Option<f64> {
-        let correction_m = state.common.get(state.common.len() - self.lengths.len() + k)?;
+        let correction_m = state.common.get(self.length_error(k))?;
+        let shorter_m = shorter_m * (1.0 + state.common.get(self.length_error(k) + self.lengths.len())?);
         Some((length.length_m - shorter_m - chord_m + correction_m) / self.length_scatter_m)
     }
 
     fn add_priors(&self, equations: &mut Equations, state: &State) {
         let errors = self.model_sd_px.iter().flat_map(|sd| std::iter::repeat_n(*sd, self.views()).flatten());
         let free = (0..self.free.len()).map(|i| self.prior_sd.as_ref().and_then(|sd| sd.get(i).copied()));
-        let all = free.chain(errors.map(Some)).chain(self.lengths.iter().map(|length| Some(length.sd_m)));
-        for (i, sd) in all.enumerate() {
+        let of_lengths = self.lengths.iter().map(|length| length.sd_m);
+        let shortening = self.lengths.iter().map(|_| SHORTENING_SD);
+        for (i, sd) in free.chain(errors.chain(of_lengths).chain(shortening).map(Some)).enumerate() {
             let Some(sd) = sd else { continue };
             let mut common = vec![0.0; state.common.len()];
             common[i] = 1.0 / sd;

@@ -4,6 +4,7 @@
 use super::*;
 use crate::calibrate::geometry::tests::geometry;
 use crate::calibrate::tests::gaussian;
+use crate::optics::Surface;
 
 const MIRROR: usize = 1;
 const FRAME_SD_PX: f64 = 0.1;
@@ -12,6 +13,12 @@ const LENGTH: KnownLength = KnownLength { markers: [1, 2], length_m: 22e-3, sd_m
 
 /// A swinging tube with three bands, as seen by a rig, with errors as the adjustment assumes them.
 fn swing(seen_by: &Geometry, errors: f64, seed: u64) -> (Vec<Moment>, KnownLength) {
+    bending_swing(seen_by, errors, seed, [0.0; 2])
+}
+
+/// The same of a tube that bends as it swings: by how much that makes the length shorter at most, metres, and by how
+/// much it is taken to do so.
+fn bending_swing(seen_by: &Geometry, errors: f64, seed: u64, shorter_m: [f64; 2]) -> (Vec<Moment>, KnownLength) {
     let mut noise = gaussian(seed);
     let model: Vec<Vector2<f64>> =
         (0..6).map(|_| Vector2::new(noise() * MODEL_SD_PX[0], noise() * MODEL_SD_PX[1]) * errors).collect();
@@ -22,7 +29,9 @@ fn swing(seen_by: &Geometry, errors: f64, seed: u64) -> (Vec<Moment>, KnownLengt
             let coil = Vector3::new(-0.12 + 0.05 * a, 0.02 - 0.01 * a * a, 1.39 + 0.05 * b);
             let direction = Vector3::new(a, 1.0, b).normalize();
             let scatter_m = errors * noise() * 0.02e-3;
-            let bands = [Vector3::new(-0.12, -0.055, 1.39), coil, coil + direction * (LENGTH.length_m + scatter_m)];
+            let [really_m, taken_m] = shorter_m.map(|most| most * a * a);
+            let chord_m = LENGTH.length_m + scatter_m - really_m;
+            let bands = [Vector3::new(-0.12, -0.055, 1.39), coil, coil + direction * chord_m];
             let mut sights = Vec::new();
             for (marker, band) in bands.iter().enumerate() {
                 for view in 0..2 {
@@ -32,7 +41,7 @@ fn swing(seen_by: &Geometry, errors: f64, seed: u64) -> (Vec<Moment>, KnownLengt
                     sights.push(Sight { marker, view, pixel: pixel + off, covariance_px2, along: Vector2::x() });
                 }
             }
-            Moment { sights, shorter_m: vec![Some(0.0)] }
+            Moment { sights, shorter_m: vec![Some(taken_m)] }
         })
         .collect();
     (moments, known)
@@ -110,6 +119,26 @@ fn a_length_helps_and_one_place_alone_is_open() {
     let alone = solved(truth, &still, &[]);
     let alone = alone.map_or(f64::INFINITY, |met| met.covariance[(2, 2)].sqrt());
     assert!(alone > 0.05, "{alone}");
+}
+
+/// In air a scene twice as large, twice as far away, looks the same: how the length varies as the tube bends must not be
+/// taken for its scale.
+#[test]
+fn in_air_rays_do_not_contradict_a_length_whose_shortening_is_misjudged() {
+    let mut air = geometry();
+    for (_, surface) in &mut air.surfaces {
+        if let Surface::Wall(wall) = surface {
+            (wall.index_wall, wall.index_inside) = (wall.index_outside, wall.index_outside);
+        }
+    }
+    for seed in 1..=10 {
+        let (moments, known) = bending_swing(&air, 1.0, seed, [0.3e-3, 0.2e-3]);
+        let found = solved(air.clone(), &moments, &[known]).unwrap();
+        if let Some(rays) = found.lengths[0] {
+            let off = (rays.length_m - known.length_m).abs() / rays.sd_m.hypot(known.sd_m);
+            assert!(off < 3.0, "seed {seed}: {rays:?} against {known:?}, {off:.1} sigma");
+        }
+    }
 }
 
 #[test]
