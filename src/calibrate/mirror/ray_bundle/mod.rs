@@ -24,6 +24,9 @@ const PLACE_STEPS: usize = 2;
 const SHORTENING_SD: f64 = 0.5;
 /// Least part by which the rays reduce a known length's variance for their own value to be told.
 const LEAST_LEARNED: f64 = 1e-6;
+/// The same of the relative σ of that value, at most: noise alone seems to tell a length to a fifth of it, also in air,
+/// where rays tell nothing (the lengths of single frames differ by it as if their scale did).
+const MOST_SPREAD: f64 = 0.1;
 /// End of the search.
 const END: End = End { tolerance: (0.0, 1e-6), max_steps: 100 };
 
@@ -63,10 +66,9 @@ impl KnownLength {
     /// prior: precisions add. `None` where it says next to nothing.
     fn by_rays(&self, correction_m: f64, variance_m2: f64) -> Option<RaysLength> {
         let learned = 1.0 - variance_m2 / self.sd_m.powi(2);
-        (learned > LEAST_LEARNED).then(|| RaysLength {
-            length_m: self.length_m + correction_m / learned,
-            sd_m: (variance_m2 / learned).sqrt(),
-        })
+        let sd_m = (variance_m2 / learned).sqrt();
+        (learned > LEAST_LEARNED && sd_m < MOST_SPREAD * self.length_m)
+            .then(|| RaysLength { length_m: self.length_m + correction_m / learned, sd_m })
     }
 }
 
