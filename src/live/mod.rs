@@ -14,8 +14,8 @@
 //! tracker few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their
 //! rows (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that
 //! writes or publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that
-//! fails is reported at once while everything else goes on. Where the system allows, camera and tracker are scheduled in
-//! real time, and pictures behind everything else.
+//! fails is reported at once while everything else goes on. Where the system allows, camera and tracker are scheduled
+//! in real time, and pictures behind everything else.
 
 mod currents;
 mod latest;

@@ -1,11 +1,12 @@
 //! Which thread goes first when the processor is busy.
 //!
-//! Camera and tracker ask for real-time scheduling: when a frame arrives they run at once, whatever else runs, each on a
-//! processor of its own. A tracker that falls behind gives it up, so that log and system go on.
+//! Camera and tracker ask for real-time scheduling: when a frame arrives they run at once, whatever else runs, each on
+//! a processor of its own. A tracker that falls behind gives it up, so that log and system go on.
 //!
-//! Without it a thread has its "nice" value, which counts among the threads of its session only, where the kernel groups
-//! them so (autogroup scheduling, the default of desktops): against other sessions that of the group counts. Both are
-//! set, as far as the system allows, and the group's is put back at the end; a run that is killed leaves it raised.
+//! Without it a thread has its "nice" value, which counts among the threads of its session only, where the kernel
+//! groups them so (autogroup scheduling, the default of desktops): against other sessions that of the group counts.
+//! Both are set, as far as the system allows, and the group's is put back at the end; a run that is killed leaves it
+//! raised.
 
 #[cfg(target_os = "linux")]
 use thread_priority::{
@@ -50,10 +51,13 @@ impl Urgency {
 pub(super) fn run_as(urgency: Urgency) {
     #[cfg(target_os = "linux")]
     {
-        let real_time = urgency.real_time().is_some_and(set_real_time);
-        if urgency.real_time().is_none() {
-            set_ordinary();
-        }
+        let real_time = match urgency.real_time() {
+            Some(priority) => set_real_time(priority),
+            None => {
+                set_ordinary();
+                false
+            }
+        };
         // Of no account as long as scheduling is in real time.
         let nice = rustix::process::setpriority_process(Some(rustix::thread::gettid()), urgency.nice());
         if nice.is_err() && !real_time {

@@ -8,8 +8,8 @@
 //! moment.
 //!
 //! The error of the image model for a band in a view is the same in every frame and does not average out, so it is a
-//! parameter, along and across the band, with prior 0 and its σ. So are the error of a known length and that of how much
-//! bending shortens it: distances that vary as the tube bends must not tell how large the scene is. The covariance
+//! parameter, along and across the band, with prior 0 and its σ. So are the error of a known length and that of how
+//! much bending shortens it: distances that vary as the tube bends must not tell how large the scene is. The covariance
 //! includes these errors; everything that is not free is assumed exact.
 
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};

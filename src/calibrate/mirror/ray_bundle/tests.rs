@@ -121,8 +121,8 @@ fn a_length_helps_and_one_place_alone_is_open() {
     assert!(alone > 0.05, "{alone}");
 }
 
-/// In air a scene twice as large, twice as far away, looks the same: how the length varies as the tube bends must not be
-/// taken for its scale.
+/// In air a scene twice as large, twice as far away, looks the same: how the length varies as the tube bends must not
+/// be taken for its scale.
 #[test]
 fn in_air_rays_do_not_contradict_a_length_whose_shortening_is_misjudged() {
     let mut air = geometry();
