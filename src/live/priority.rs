@@ -135,7 +135,8 @@ impl SessionPriority {
         let own = Some(rustix::thread::gettid());
         let nice = rustix::process::getpriority_process(own).unwrap_or(0);
         let threads = rustix::process::setpriority_process(own, Self::NICE).is_ok();
-        let real_time = Urgency::Tracker.real_time().is_some_and(set_real_time);
+        // The most urgent thread: what it gets, the others get.
+        let real_time = Urgency::Camera.real_time().is_some_and(set_real_time);
         // The caller's own thread only watches.
         set_ordinary();
         let _ = rustix::process::setpriority_process(own, nice);

@@ -1,6 +1,6 @@
 //! Pictures for people as JPEG, by libav, whose encoder uses vector instructions: a page has three for every recording.
 //!
-//! In: rows of B'G'R'. Out: a file (JFIF), 4:4:4.
+//! In: rows of B'G'R'. Out: a file (JFIF), 4:4:4 where lines are drawn, otherwise 4:2:0.
 
 use super::encode::would_block;
 use ffmpeg_the_third as av;
@@ -14,7 +14,7 @@ const LAMBDA: i32 = 118;
 pub(crate) enum Loss {
     /// One-pixel lines stay sharp.
     Little,
-    /// Good enough to look at.
+    /// Good enough to look at: four pixels have one colour.
     Some,
 }
 
@@ -23,6 +23,13 @@ impl Loss {
         match self {
             Self::Little => 2,
             Self::Some => 4,
+        }
+    }
+
+    fn format(self) -> av::format::Pixel {
+        match self {
+            Self::Little => av::format::Pixel::YUVJ444P,
+            Self::Some => av::format::Pixel::YUVJ420P,
         }
     }
 }
@@ -37,7 +44,7 @@ pub(crate) fn encode(bgr: &[u8], stride: usize, size_px: [u32; 2], loss: Loss) -
     let [width, height] = size_px;
     settings.set_width(width);
     settings.set_height(height);
-    settings.set_format(av::format::Pixel::YUVJ444P);
+    settings.set_format(loss.format());
     settings.set_color_range(av::color::Range::JPEG);
     settings.set_time_base(av::Rational(1, 1));
     settings.set_flags(av::codec::Flags::QSCALE);
@@ -47,11 +54,11 @@ pub(crate) fn encode(bgr: &[u8], stride: usize, size_px: [u32; 2], loss: Loss) -
     options.set("threads", "1");
     options.set("flags", "+bitexact");
     let mut encoder = settings.open_with(options)?;
-    let mut frame = av::frame::Video::new(av::format::Pixel::YUVJ444P, width, height);
+    let mut frame = av::frame::Video::new(loss.format(), width, height);
     if frame.planes() < 3 {
         return Err(av::Error::BufferTooSmall);
     }
-    fill(&mut frame, bgr, stride);
+    fill(&mut frame, bgr, stride, loss);
     frame.set_pts(Some(0));
     frame.set_color_range(av::color::Range::JPEG);
     set_quality(&mut frame, loss);
@@ -69,18 +76,41 @@ pub(crate) fn encode(bgr: &[u8], stride: usize, size_px: [u32; 2], loss: Loss) -
 }
 
 /// The planes of the picture: BT.601 in full range, as JFIF has it.
-fn fill(frame: &mut av::frame::Video, bgr: &[u8], stride: usize) {
+fn fill(frame: &mut av::frame::Video, bgr: &[u8], stride: usize, loss: Loss) {
     let width = frame.width() as usize;
-    let mut rows = [0; 3].map(|_: u8| vec![0; width]);
-    for (j, from) in bgr.chunks(stride).take(frame.height() as usize).enumerate() {
-        let [y, cb, cr] = &mut rows;
-        to_ycc(from, y, cb, cr);
-        for (channel, row) in rows.iter().enumerate() {
-            let at = j * frame.stride(channel);
-            if let Some(to) = frame.data_mut(channel).get_mut(at..at + width) {
-                to.copy_from_slice(row);
+    let mut put = |channel: usize, j: usize, row: &[u8]| {
+        let at = j * frame.stride(channel);
+        if let Some(to) = frame.data_mut(channel).get_mut(at..at + row.len()) {
+            to.copy_from_slice(row);
+        }
+    };
+    let mut rows: [[Vec<u8>; 3]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| vec![0; width]));
+    let mut halved = vec![0; width.div_ceil(2)];
+    for (pair, from) in bgr.chunks(2 * stride).enumerate() {
+        for (k, (from, [y, cb, cr])) in from.chunks(stride).zip(&mut rows).enumerate() {
+            to_ycc(from, y, cb, cr);
+            put(0, 2 * pair + k, y);
+            if loss == Loss::Little {
+                put(1, 2 * pair + k, cb);
+                put(2, 2 * pair + k, cr);
             }
         }
+        if loss == Loss::Some {
+            // Of an odd number of rows the last counts twice.
+            let last = usize::from(from.len() > stride);
+            for channel in [1, 2] {
+                average(&rows[0][channel], &rows[last][channel], &mut halved);
+                put(channel, pair, &halved);
+            }
+        }
+    }
+}
+
+/// Means of two rows over two columns each; an odd last column counts twice.
+fn average(top: &[u8], bottom: &[u8], means: &mut [u8]) {
+    for (mean, (a, b)) in means.iter_mut().zip(top.chunks(2).zip(bottom.chunks(2))) {
+        let pair = |row: &[u8]| u16::from(row[0]) + u16::from(row[row.len() - 1]);
+        *mean = ((pair(a) + pair(b) + 2) >> 2) as u8;
     }
 }
 
@@ -129,6 +159,19 @@ mod tests {
             let found = read.get_pixel(x, 18).0;
             assert!(found.iter().zip(expected).all(|(a, b)| a.abs_diff(b) < 12), "{x}: {found:?}");
         }
-        assert!(encode(&bgr, stride, [width, height], Loss::Some).unwrap().len() < file.len());
+        // Red on the right, to the last column and row of a picture of odd size.
+        for (y, row) in bgr.chunks_mut(stride).enumerate() {
+            for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
+                pixel.copy_from_slice(if x >= 30 && y >= 10 { &[40, 40, 220] } else { &[128; 3] });
+            }
+        }
+        let coarser = encode(&bgr, stride, [width, height], Loss::Some).unwrap();
+        assert!(coarser.len() < encode(&bgr, stride, [width, height], Loss::Little).unwrap().len());
+        let read = image::load_from_memory(&coarser).unwrap().to_rgb8();
+        let red = [220_u8, 40, 40];
+        for (at, expected) in [([5, 18], [128; 3]), ([40, 5], [128; 3]), ([33, 20], red), ([60, 36], red)] {
+            let found = read.get_pixel(at[0], at[1]).0;
+            assert!(found.iter().zip(expected).all(|(a, b)| a.abs_diff(b) < 12), "{at:?}: {found:?}");
+        }
     }
 }
