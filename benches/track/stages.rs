@@ -1,5 +1,6 @@
-//! Each stage of a frame compared with OpenCV's script on the same frame, one thread each, alternating frame by frame;
-//! the whole recording several times.
+//! Each stage of a frame compared with OpenCV's script on the same frames, one thread each. Each goes through the
+//! recording by itself and is timed right after its frame was decoded, as in a program that does nothing else: the
+//! caches are as the decoder leaves them. In turns, several times.
 
 use super::opencv_script::{Script, i420};
 use super::spread::with_spread;
@@ -7,7 +8,7 @@ use super::stopwatch::{Stopwatch, median};
 use catoptra::estimate::Estimate;
 use catoptra::rig::Rig;
 use catoptra::segment::{Search, Segmenter, Window};
-use catoptra::source::{self, Picture, SourceOptions};
+use catoptra::source::{self, Frame, Picture, SourceOptions};
 use catoptra::track::{TrackOptions, Tracker};
 use nalgebra::Vector3;
 use std::error::Error;
@@ -37,7 +38,7 @@ const WORST: [&str; 2] = ["all of the coil's colour", "random samples"];
 /// One round, and what was found in it.
 struct Round {
     times: Times,
-    frames: u32,
+    frames: usize,
     components: i32,
     blobs: usize,
     size_px: [u32; 2],
@@ -50,13 +51,13 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
     let rounds = (0..ROUNDS).map(|_| round(recording, rig, &one_thread)).collect::<Result<Vec<_>, _>>()?;
     let Round { frames, components, blobs, size_px: [width, height], .. } = rounds[0];
     println!(
-        "{frames} frames of {width}x{height} in turns, one thread each, medians of its CPU time in each of {ROUNDS} \
-         rounds. A frame has"
+        "{frames} frames of {width}x{height}, each right after it was decoded, one thread each, medians of its CPU time \
+         in each of {ROUNDS} rounds. A frame has"
     );
     println!(
         "{:.2} components in the masks of OpenCV's script and {:.2} blobs in the segmentation.\n",
-        f64::from(components) / f64::from(frames),
-        blobs as f64 / f64::from(frames)
+        f64::from(components) / frames as f64,
+        blobs as f64 / frames as f64
     );
     println!("{:42}{:>12}{:>18}{:>27}", "a frame", "Catoptra", "OpenCV's script", "ratio");
     let row = |name: &str, of: &dyn Fn(&Times) -> f64, script: &dyn Fn(&Times) -> f64| {
@@ -82,29 +83,39 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
 }
 
 fn round(recording: &Path, rig: &Rig, one_thread: &rayon::ThreadPool) -> Result<Round, Box<dyn Error + Send + Sync>> {
-    let mut source = source::open(recording, SourceOptions { decoder_threads: 1, ..SourceOptions::default() })?;
-    let mut script = Script::new()?;
-    let mut segmenter = Segmenter::for_rig(rig)?;
+    let (mut script, mut segmenter) = (Script::new()?, Segmenter::for_rig(rig)?);
     let mut windowed = Tracker::new(rig, TrackOptions::default())?;
     let mut full_frame = Tracker::new(rig, TrackOptions { full_frame: true, ..TrackOptions::default() })?;
 
     let mut times = Times::default();
-    let (mut frames, mut components, mut blobs) = (0, 0, 0);
-    let mut last: Option<(Estimate, Picture)> = None;
-    while let Some(frame) = times.decode.time(|| source.next_frame())? {
-        let picture = &frame.picture;
-        components += script_on(&mut times.script, &mut script, picture)?;
-        blobs += times.segment.time(|| segmenter.all_blobs(picture).map(<[_]>::len))?;
-        if let Some((estimate, _)) = &last {
-            let windows = windows_around(estimate);
-            times.segment_windows.time(|| segmenter.blobs(picture, &windows).map(<[_]>::len))?;
+    let (mut components, mut blobs) = (0, 0);
+    let mut estimates: Vec<Estimate> = Vec::new();
+    let mut last = None;
+    each_frame(recording, &mut times.decode, |frame| {
+        components += script_on(&mut times.script, &mut script, &frame.picture)?;
+        Ok(())
+    })?;
+    each_frame(recording, &mut times.decode, |frame| {
+        blobs += times.segment.time(|| segmenter.all_blobs(&frame.picture).map(<[_]>::len))?;
+        Ok(())
+    })?;
+    each_frame(recording, &mut times.decode, |frame| {
+        estimates.push(one_thread.install(|| times.step.time(|| windowed.step(frame)))?);
+        Ok(())
+    })?;
+    each_frame(recording, &mut times.decode, |frame| {
+        one_thread.install(|| times.step_full_frame.time(|| full_frame.step(frame)))?;
+        Ok(())
+    })?;
+    let mut before = estimates.iter();
+    each_frame(recording, &mut times.decode, |frame| {
+        if last.replace(frame.picture.clone()).is_some() {
+            let windows = before.next().map(windows_around).unwrap_or_default();
+            times.segment_windows.time(|| segmenter.blobs(&frame.picture, &windows).map(<[_]>::len))?;
         }
-        let estimate = one_thread.install(|| times.step.time(|| windowed.step(&frame)))?;
-        one_thread.install(|| times.step_full_frame.time(|| full_frame.step(&frame)))?;
-        frames += 1;
-        last = Some((estimate, frame.picture));
-    }
-    let (_, picture) = last.ok_or("the recording has no frames")?;
+        Ok(())
+    })?;
+    let (picture, frames) = (last.ok_or("the recording has no frames")?, estimates.len());
     for ((of_script, of_segment), picture) in times.worst.iter_mut().zip(worst_cases(rig, &picture)?) {
         for _ in 0..RUNS {
             script_on(of_script, &mut script, &picture)?;
@@ -112,6 +123,19 @@ fn round(recording: &Path, rig: &Rig, one_thread: &rayon::ThreadPool) -> Result<
         }
     }
     Ok(Round { times, frames, components, blobs, size_px: picture.size_px() })
+}
+
+/// Decodes a recording by one thread, and does something with each frame.
+fn each_frame(
+    recording: &Path,
+    decode: &mut Stopwatch,
+    mut run: impl FnMut(&Frame) -> Result<(), Box<dyn Error + Send + Sync>>,
+) -> Result<(), Box<dyn Error + Send + Sync>> {
+    let mut source = source::open(recording, SourceOptions { decoder_threads: 1, ..SourceOptions::default() })?;
+    while let Some(frame) = decode.time(|| source.next_frame())? {
+        run(&frame)?;
+    }
+    Ok(())
 }
 
 /// Times OpenCV's script, without the copy of the planes; returns the number of components.
