@@ -75,7 +75,7 @@ impl PictureMaker {
     pub(crate) fn picture_stating(&mut self, frame: Video, stated: Option<Stated>) -> Result<Picture, SourceError> {
         let colour = self.colour(&frame)?;
         let interlaced = frame.is_interlaced();
-        let by_decoder = Quantisation::of(&frame);
+        let by_decoder = Quantisation::of(&frame, bits(frame.format()));
         let (frame, format) = self.stored(frame)?;
         let size_px = [frame.width(), frame.height()];
         let picture = Picture::from_decoded(frame, format, colour).interlaced(interlaced);
@@ -294,6 +294,13 @@ fn convertible(pixel: Pixel) -> Option<(Pixel, PixelFormat)> {
     native(to).map(|format| (to, format))
 }
 
+/// Bits of a sample, among the formats that coders of video store.
+fn bits(pixel: Pixel) -> i32 {
+    let name = name(pixel);
+    let plain = name.trim_end_matches("le").trim_end_matches("be");
+    plain.rsplit(|c: char| !c.is_ascii_digit()).next().and_then(|digits| digits.parse().ok()).unwrap_or(8)
+}
+
 /// Whether samples have more than 8 bits, among the convertible formats.
 fn is_deep(pixel: Pixel) -> bool {
     use Pixel::{BAYER_BGGR8, BAYER_GBRG8, BAYER_GRBG8, BAYER_RGGB8, UYVY422, YUYV422, YVYU422};
@@ -306,6 +313,8 @@ mod tests {
 
     #[test]
     fn deep_formats_become_the_8_bit_format_of_the_same_layout_and_others_are_refused() {
+        let deep = [Pixel::YUV420P, Pixel::YUV422P10LE, Pixel::P010LE, Pixel::GRAY12LE, Pixel::GRAY8];
+        assert_eq!(deep.map(bits), [8, 10, 10, 12, 8]);
         let to = |pixel| convertible(pixel).map(|(to, _)| to);
         assert_eq!(to(Pixel::YUV420P10LE), Some(Pixel::YUV420P));
         assert_eq!(to(Pixel::YUV444P12BE), Some(Pixel::YUV444P));

@@ -89,14 +89,15 @@ impl Quantisation {
         Self::uniform(ASSUMED, size_px)
     }
 
-    /// The quantisation that the decoder exports for a frame; `None` when it exports none, and for lossless pictures.
-    pub(crate) fn of(frame: &Video) -> Option<Self> {
+    /// The quantisation that the decoder exports for a frame with samples of so many bits, for its samples reduced to 8;
+    /// `None` when it exports none, and for lossless pictures.
+    pub(crate) fn of(frame: &Video, bits: i32) -> Option<Self> {
         let data = frame.side_data(Type::VIDEO_ENC_PARAMS)?;
-        Self::parsed(data.data(), [frame.width(), frame.height()])
+        Self::parsed(data.data(), [frame.width(), frame.height()], bits)
     }
 
     /// From libav's `AVVideoEncParams`, which states where its blocks start and how large they are.
-    fn parsed(data: &[u8], [width, height]: [u32; 2]) -> Option<Self> {
+    fn parsed(data: &[u8], [width, height]: [u32; 2], bits: i32) -> Option<Self> {
         const WORD: usize = size_of::<usize>();
         let int = |at: usize| Some(i32::from_ne_bytes(data.get(at..at + 4)?.try_into().ok()?));
         let size = |at: usize| Some(usize::from_ne_bytes(data.get(at..at + WORD)?.try_into().ok()?));
@@ -110,6 +111,8 @@ impl Quantisation {
             MPEG2 => |q| level(2.0 * f64::from(q)),
             _ => return None,
         };
+        // libav's quantiser of H.264 is QP' (ITU-T H.264, 7.4.5): its steps are those of samples with all their bits.
+        let base = if kind == H264 { base.saturating_sub(6 * (bits - 8)) } else { base };
         let mut all = Self::of_level(level_of(base), [width, height]);
         let Self { columns, levels, .. } = &mut all;
         for i in 0..count {
@@ -176,7 +179,7 @@ mod tests {
     #[test]
     fn the_step_at_a_pixel_is_that_of_its_block() {
         let bytes = encoded(H264, 22, &[[16, 0, 16, 16, 6], [0, 16, 32, 16, -6]]);
-        let found = Quantisation::parsed(&bytes, [40, 30]).unwrap();
+        let found = Quantisation::parsed(&bytes, [40, 30], 8).unwrap();
         assert_eq!((found.columns, &found.levels), (3, &vec![22, 28, 22, 16, 16, 22]));
         // H.264, table 8-15: level 22 has a step of 8, six more double it.
         for (pixel, step) in [([0, 0], 8.0), ([16, 0], 16.0), ([31, 15], 16.0), ([4, 20], 4.0), ([39, 29], 8.0)] {
@@ -184,12 +187,15 @@ mod tests {
             assert!(at.iter().all(|at| (at - step).abs() < 1e-9), "{pixel:?}: {at:?}");
         }
         assert_eq!([found.steps_at([48, 0]), found.steps_at([0, 32])], [None, None]);
+        // Of 10 bits: the same steps are a quarter as large in 8.
+        let deep = encoded(H264, 22 + 12, &[[16, 0, 16, 16, 6], [0, 16, 32, 16, -6]]);
+        assert_eq!(Quantisation::parsed(&deep, [40, 30], 10), Some(found));
     }
 
     #[test]
     fn without_blocks_the_base_holds_everywhere_and_what_is_cut_off_says_nothing() {
         let step = |kind, base| {
-            let found = Quantisation::parsed(&encoded(kind, base, &[]), [640, 480]).unwrap();
+            let found = Quantisation::parsed(&encoded(kind, base, &[]), [640, 480], 8).unwrap();
             assert_eq!(found.steps_at([0, 0]), found.steps_at([639, 479]));
             found.steps_at([0, 0]).unwrap()[0]
         };
@@ -200,8 +206,8 @@ mod tests {
         }
         let bytes = encoded(H264, 22, &[[0, 0, 16, 16, 6]]);
         for cut in 0..bytes.len() {
-            assert_eq!(Quantisation::parsed(&bytes[..cut], [32, 32]), None, "{cut} bytes");
+            assert_eq!(Quantisation::parsed(&bytes[..cut], [32, 32], 8), None, "{cut} bytes");
         }
-        assert_eq!(Quantisation::parsed(&encoded(9, 22, &[]), [32, 32]), None);
+        assert_eq!(Quantisation::parsed(&encoded(9, 22, &[]), [32, 32], 8), None);
     }
 }

@@ -33,7 +33,7 @@ use moving::Moving;
 use nalgebra::{DMatrix, DVector};
 pub use parameter::Parameter;
 pub use search::Open;
-use search::{Found, SearchError, least_determined, minimise};
+use search::{Found, least_determined, minimise};
 pub use still::Pause;
 use still::Still;
 
@@ -217,18 +217,18 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
 fn determined(
     parameters: &mut Vec<Parameter>,
     mut open: Option<&mut Vec<Open>>,
-    search: impl Fn(&[Parameter]) -> Result<Found, SearchError>,
+    search: impl Fn(&[Parameter]) -> Option<Found>,
 ) -> Result<Found, CatheterError> {
+    let wrong = |what: &str| CatheterError::Fit(what.to_owned());
     loop {
-        let found = search(parameters).map_err(|error| {
-            CatheterError::Fit(match error {
-                SearchError::Start => {
-                    "the catheter has no shape at some of the runs' currents: give one that is nearer".to_owned()
-                }
-                SearchError::NotConverged => "the search does not settle: give a catheter that is nearer".to_owned(),
-            })
-        })?;
-        let Some(least) = least_determined(parameters, &found.information) else { return Ok(found) };
+        let found = search(parameters)
+            .ok_or_else(|| wrong("the catheter has no shape at some of the runs' currents: give one that is nearer"))?;
+        let Some(least) = least_determined(parameters, &found.information) else {
+            return found
+                .settled
+                .then_some(found)
+                .ok_or_else(|| wrong("the search does not settle: give a catheter that is nearer"));
+        };
         parameters.retain(|p| *p != least.parameter);
         if let Some(open) = &mut open {
             open.push(least);

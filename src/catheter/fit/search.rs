@@ -30,6 +30,8 @@ pub(super) struct Found {
     pub(super) jacobian: DMatrix<f64>,
     /// In units of [`Parameter::open`].
     pub(super) information: DMatrix<f64>,
+    /// False when the search was given up before: often in a valley of what the data do not determine.
+    pub(super) settled: bool,
 }
 
 /// Parameters that the data cannot tell.
@@ -52,15 +54,6 @@ impl Open {
     }
 }
 
-/// Why there is no answer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum SearchError {
-    /// The start has no residuals.
-    Start,
-    /// It did not settle.
-    NotConverged,
-}
-
 /// Jacobian in units of [`Parameter::open`].
 fn jacobian(parameters: &[Parameter], model: &impl Residuals, at: &DVector<f64>, rows: usize) -> Option<DMatrix<f64>> {
     let columns: Option<Vec<DVector<f64>>> = parameters
@@ -79,19 +72,19 @@ fn jacobian(parameters: &[Parameter], model: &impl Residuals, at: &DVector<f64>,
     Some(if columns.is_empty() { DMatrix::zeros(rows, 0) } else { DMatrix::from_columns(&columns) })
 }
 
-/// Goes from `start` to where the sum of squares is least.
-pub(super) fn minimise(
-    parameters: &[Parameter],
-    model: &impl Residuals,
-    start: DVector<f64>,
-) -> Result<Found, SearchError> {
+/// Goes from `start` to where the sum of squares is least; `None` when the model has no residuals there.
+pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: DVector<f64>) -> Option<Found> {
     let open = DVector::from_iterator(parameters.len(), parameters.iter().map(|p| p.open()));
     let mut at = start;
-    let mut residuals = model.at(&at).ok_or(SearchError::Start)?;
+    let mut residuals = model.at(&at)?;
     let mut damping = 1e-3;
-    for _ in 0..MAX_STEPS {
-        let by = jacobian(parameters, model, &at, residuals.len()).ok_or(SearchError::Start)?;
+    let mut steps = 0;
+    loop {
+        let by = jacobian(parameters, model, &at, residuals.len())?;
         let information = by.tr_mul(&by);
+        if steps == MAX_STEPS {
+            return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: false });
+        }
         let gradient = -by.tr_mul(&residuals);
         let cost = residuals.norm_squared();
         let mut moved = false;
@@ -104,7 +97,7 @@ pub(super) fn minimise(
             let Some(step) = matrix.cholesky().map(|matrix| matrix.solve(&gradient)) else { break };
             let predicted_decrease = step.dot(&gradient);
             if predicted_decrease < COST_TOLERANCE {
-                return Ok(Found { coordinates: at, residuals, jacobian: by, information });
+                return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: true });
             }
             let next = &at + step.component_mul(&open);
             match model.at(&next).filter(|next| next.norm_squared() < cost) {
@@ -118,10 +111,10 @@ pub(super) fn minimise(
         }
         if !moved {
             // Rounding of the model: nowhere is lower.
-            return Ok(Found { coordinates: at, residuals, jacobian: by, information });
+            return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: true });
         }
+        steps += 1;
     }
-    Err(SearchError::NotConverged)
 }
 
 /// The parameter that the data tell least of, if they do not determine it.
