@@ -153,6 +153,7 @@ fn records(provenance: &Provenance) -> Vec<Value> {
             "duration_s": record.duration_s,
             "delay_s": record.delay.as_ref().map(|d| d.delay_s),
             "delay_standard_error_s": record.delay.as_ref().map(|d| d.sd_s),
+            "other_delays_s": record.delay.as_ref().map(|d| &d.others_s),
             "currents_clock_ppm": drift.map(|drift| -1e6 * drift.rate),
             "currents_clock_standard_error_ppm": drift.map(|drift| 1e6 * drift.sd),
             "zero_rad": record.zero.map(|z| z.offset),

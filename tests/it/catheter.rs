@@ -145,6 +145,21 @@ fn a_fit_finds_what_the_run_was_made_with() {
     }
 }
 
+/// The manual's command: there is one pause at rest, which leaves more open than the search can settle.
+#[test]
+fn the_sample_run_tells_all_parameters() {
+    let folder = tempfile::tempdir().unwrap();
+    let sample = |name: &str| format!("{}/sample_dynamics/{name}", env!("CARGO_MANIFEST_DIR"));
+    let (run, currents) = (sample("catheter_run.csv"), sample("catheter_currents.csv"));
+    let text = stdout(&catheter(folder.path(), &["fit", &run, "--currents", &currents, "-o", "out"]));
+    let values = fs::read_to_string(folder.path().join("out/fit.csv")).unwrap();
+    for (name, truth) in [("young", 5.39), ("shear", 2.39), ("damping", 10.0), ("drag", 1.1)] {
+        let row: Vec<&str> = values.lines().find(|line| line.starts_with(name)).unwrap().split(',').collect();
+        let (value, sd): (f64, f64) = (row[2].parse().unwrap(), row[3].parse().unwrap());
+        assert!((value - truth).abs() < 3.0 * sd + 1e-3 * truth, "{name} {value} {sd}\n{text}");
+    }
+}
+
 #[test]
 fn what_cannot_be_is_refused_with_what_would_be_right() {
     let folder = tempfile::tempdir().unwrap();

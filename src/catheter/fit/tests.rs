@@ -131,6 +131,7 @@ fn sigma_covers_noise_that_hangs_together() {
                 residuals,
                 jacobian: by.clone(),
                 information: by.tr_mul(&by),
+                settled: true,
             };
             let widening = DVector::from_vec(correlated::widening(&found, &covariance, &series));
             let predicted = covariance.diagonal().component_mul(&widening) * variance;

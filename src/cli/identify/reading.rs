@@ -230,14 +230,31 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     let apparent = apparent_delay(args, &observed, &held, plant, own_clock.then_some(middle_s));
     let delay_s = match (args.delay, &apparent) {
         (DelayArg::Given(seconds), _) => seconds,
-        (DelayArg::Auto, Some(delay)) => delay.delay_s,
+        (DelayArg::Auto, Some(delay)) => match delay.others_in_words() {
+            None => delay.delay_s,
+            Some(others) => {
+                return Err(Failure::usage(format!(
+                    "{name}: the delay between commands and output cannot be told: besides {:.1} ms, {others} explain \
+                     the record about as well; commands over a wider band of frequencies would tell, or give it with \
+                     --delay",
+                    delay.delay_s * 1e3
+                )));
+            }
+        },
         (DelayArg::Auto, None) => {
             return Err(Failure::usage(format!(
                 "{name}: no delay between commands and output could be estimated; give it with --delay"
             )));
         }
     };
-    if let Some(delay) = apparent.as_ref().filter(|delay| delay.is_before(delay_s)) {
+    if let Some(others) = apparent.as_ref().and_then(Delay::others_in_words) {
+        tracing::warn!(
+            "{name}: delays of the output by {others} would explain the record about as well: whether the times of the \
+             commands are right cannot be told (commands in a narrow band of frequencies, or some that are missing?)"
+        );
+    }
+    let told = apparent.as_ref().filter(|delay| delay.others_s.is_empty());
+    if let Some(delay) = told.filter(|delay| delay.is_before(delay_s)) {
         tracing::warn!(
             "{name}: θ seems to move {:.1} ± {:.1} ms before the commands: with wrong times H(s) is wrong; --delay auto \
              corrects them",
@@ -245,7 +262,7 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
             delay.sd_s * 1e3
         );
     }
-    let held = match apparent.as_ref().and_then(|delay| delay.drift).filter(Drift::is_significant) {
+    let held = match told.and_then(|delay| delay.drift).filter(Drift::is_significant) {
         Some(drift) => without_drift(args, &source, held, drift, middle_s),
         None => held,
     };
@@ -320,7 +337,8 @@ fn apparent_delay(
         }
         Some(segments)
     })?;
-    Some(Delay { delay_s: given_s + found.delay_s, ..found })
+    let others_s = found.others_s.iter().map(|other_s| given_s + other_s).collect();
+    Some(Delay { delay_s: given_s + found.delay_s, others_s, ..found })
 }
 
 /// Removes trends. `one_record`: all parts belong to one record with a common line.

@@ -40,6 +40,9 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
         }
         if let Some(delay) = &record.delay {
             write!(text, "; output late by {:.1} ± {:.1} ms", delay.delay_s * 1e3, delay.sd_s * 1e3)?;
+            if let Some(others) = delay.others_in_words() {
+                write!(text, ", or by {others}")?;
+            }
         }
         if let Some(zero) = &record.zero {
             write!(text, "; zero off by {:.3} ± {:.3}°", zero.offset.to_degrees(), zero.sd.to_degrees())?;

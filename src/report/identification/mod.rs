@@ -416,7 +416,10 @@ fn records_table(provenance: &Provenance) -> String {
             r.bridged.to_string(),
             format!("{:.3}", r.period_s * 1e3),
             format!("{:.3}", r.jitter_s * 1e3),
-            r.delay.as_ref().map_or_else(String::new, |d| format!("{:.1} ± {:.1}", d.delay_s * 1e3, d.sd_s * 1e3)),
+            r.delay.as_ref().map_or_else(String::new, |d| {
+                let others = d.others_in_words().map_or_else(String::new, |others| format!(", or {others}"));
+                format!("{:.1} ± {:.1}{others}", d.delay_s * 1e3, d.sd_s * 1e3)
+            }),
             zero(r),
         ]
     };
