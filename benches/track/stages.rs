@@ -51,8 +51,8 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
     let rounds = (0..ROUNDS).map(|_| round(recording, rig, &one_thread)).collect::<Result<Vec<_>, _>>()?;
     let Round { frames, components, blobs, size_px: [width, height], .. } = rounds[0];
     println!(
-        "{frames} frames of {width}x{height}, each right after it was decoded, one thread each, medians of its CPU time \
-         in each of {ROUNDS} rounds. A frame has"
+        "{frames} frames of {width}x{height}, each right after it was decoded, one thread each, medians of its CPU \
+         time in each of {ROUNDS} rounds. A frame has"
     );
     println!(
         "{:.2} components in the masks of OpenCV's script and {:.2} blobs in the segmentation.\n",

@@ -89,8 +89,8 @@ impl Quantisation {
         Self::uniform(ASSUMED, size_px)
     }
 
-    /// The quantisation that the decoder exports for a frame with samples of so many bits, for its samples reduced to 8;
-    /// `None` when it exports none, and for lossless pictures.
+    /// The quantisation that the decoder exports for a frame with samples of so many bits, for its samples reduced to
+    /// 8; `None` when it exports none, and for lossless pictures.
     pub(crate) fn of(frame: &Video, bits: i32) -> Option<Self> {
         let data = frame.side_data(Type::VIDEO_ENC_PARAMS)?;
         Self::parsed(data.data(), [frame.width(), frame.height()], bits)
