@@ -146,12 +146,15 @@ fn start_of(catheter: &Catheter, delay_s: f64, parameters: &[Parameter]) -> DVec
     DVector::from_iterator(parameters.len(), values)
 }
 
+fn wrong(what: &str) -> CatheterError {
+    CatheterError::Fit(what.to_owned())
+}
+
 /// Fits `options.parameters` to the runs, from `catheter` and `delay_s` on.
 ///
 /// # Errors
 /// [`CatheterError::Fit`] when there is nothing to fit to, the noise is not known, or the search does not settle.
 pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions) -> Result<Fit, CatheterError> {
-    let wrong = |what: &str| CatheterError::Fit(what.to_owned());
     // 1. shapes at rest
     let (pauses, unsettled, scatter) = still::pauses(runs, options.settle_s, delay_s);
     let noise = match (scatter, options.stated_noise) {
@@ -219,7 +222,6 @@ fn determined(
     mut open: Option<&mut Vec<Open>>,
     search: impl Fn(&[Parameter]) -> Option<Found>,
 ) -> Result<Found, CatheterError> {
-    let wrong = |what: &str| CatheterError::Fit(what.to_owned());
     loop {
         let found = search(parameters)
             .ok_or_else(|| wrong("the catheter has no shape at some of the runs' currents: give one that is nearer"))?;
