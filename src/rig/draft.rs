@@ -111,6 +111,15 @@ impl Draft {
         of_rig().or_else(of_camera).filter(|variance| *variance >= 0.0).map(f64::sqrt)
     }
 
+    /// The doubts that calibrations recorded about what they found: the step (`camera`, `rig`, `mirror`), and each of
+    /// its doubts.
+    pub fn noted_doubts(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.provenance.iter().flat_map(|(step, noted)| {
+            let doubts = noted.get("doubts").and_then(toml::Value::as_array);
+            doubts.into_iter().flatten().filter_map(move |doubt| Some((step.as_str(), doubt.as_str()?)))
+        })
+    }
+
     /// The rig, when all its parts are there; `name` is the file in error messages.
     ///
     /// # Errors

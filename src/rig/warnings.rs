@@ -112,6 +112,13 @@ pub enum Warning {
     },
     /// The lens blur has not been measured.
     NoBlur,
+    /// A calibration had a doubt about its own result.
+    Doubt {
+        /// Its step: `camera`, `rig` or `mirror`.
+        step: String,
+        /// The doubt.
+        what: String,
+    },
 }
 
 impl fmt::Display for Warning {
@@ -185,6 +192,7 @@ impl fmt::Display for Warning {
                 angle_rad.to_degrees()
             ),
             Self::NoBlur => write!(f, "camera.blur_px is not given: the blur of the lens will be assumed"),
+            Self::Doubt { step, what } => write!(f, "`calibrate {step}` doubted its own result: {what}"),
         }
     }
 }
@@ -209,6 +217,8 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
             }
         }
     }
+    let doubts = rig.noted_doubts();
+    found.extend(doubts.map(|(step, what)| Warning::Doubt { step: step.to_owned(), what: what.to_owned() }));
     found.extend(scales(rig, views));
     found.extend(narrow_tubes(rig, views, meeting));
     found.extend((views.len() == 1).then_some(Warning::SingleView));

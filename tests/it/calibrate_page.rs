@@ -8,7 +8,11 @@ const BOARD: &str = "9x6:12mm";
 
 /// Runs `catoptra calibrate`; what it printed, and then its warnings.
 fn calibrate(arguments: &[&str]) -> String {
-    let run = Command::new(env!("CARGO_BIN_EXE_catoptra")).arg("calibrate").args(arguments).output().unwrap();
+    catoptra(&[&["calibrate"], arguments].concat())
+}
+
+fn catoptra(arguments: &[&str]) -> String {
+    let run = Command::new(env!("CARGO_BIN_EXE_catoptra")).args(arguments).output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     String::from_utf8(run.stdout).unwrap() + &String::from_utf8(run.stderr).unwrap()
 }
@@ -132,6 +136,11 @@ fn what_contradicts_the_model_is_said_before_the_numbers() {
     let doubts: Vec<&str> = printed.lines().filter(|line| line.contains("doubt:")).collect();
     assert!(matches!(doubts[..], [one] if one.contains("the distance of front_wall from the camera")), "{printed}");
     assert!(page.contains("<td>1225.00 ± 2.00 mm</td>") && count(&page, "<span class=\"miss\">3.") == 1);
+
+    // Who only has the rig file learns it too.
+    let rig = folder.path().join("my.rig.toml");
+    let warned = "`calibrate rig` doubted its own result: the pictures contradict the distance of front_wall";
+    assert_eq!(count(&catoptra(&["rig", "check", rig.to_str().unwrap()]), warned), 1);
 }
 
 #[test]

@@ -89,10 +89,9 @@ pub(super) fn run(args: &MirrorArgs, print: impl Fn(&str) -> Result<(), Failure>
     let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
     let mut done = calibrate_mirror(&rig, args.mirror.as_deref(), length, &mut frames).map_err(|e| failure(args, e))?;
     print(&describe(&done))?;
-    for doubt in done.doubts() {
-        tracing::warn!("{}: doubt: {doubt}", args.source.display());
-    }
-    let provenance = provenance(args, &done).into();
+    let doubts = done.doubts();
+    doubts.iter().for_each(|doubt| tracing::warn!("{}: doubt: {doubt}", args.source.display()));
+    let provenance = provenance(args, &done, doubts).into();
     if !done.has_moved() {
         // A move within its σ would replace a good position by a less certain one.
         print("Within its uncertainty the mirror has not moved: its position is kept.\n")?;
@@ -126,7 +125,7 @@ fn failure(args: &MirrorArgs, error: MirrorError) -> Failure {
     Failure::new(exit, format!("{}: {error}; nothing was written", args.source.display()))
 }
 
-fn provenance(args: &MirrorArgs, done: &MirrorCalibration) -> toml::Table {
+fn provenance(args: &MirrorArgs, done: &MirrorCalibration, doubts: Vec<String>) -> toml::Table {
     let mut table = toml::Table::new();
     let file = args.source.file_name().unwrap_or_default().to_string_lossy().into_owned();
     table.insert("made_by".into(), format!("catoptra {} calibrate mirror", env!("CARGO_PKG_VERSION")).into());
@@ -143,6 +142,7 @@ fn provenance(args: &MirrorArgs, done: &MirrorCalibration) -> toml::Table {
     table.insert("shifted_mm".into(), rounded(shift * 1e3, 3));
     table.insert("shifted_sd_mm".into(), rounded(shift_sd * 1e3, 3));
     table.insert("disagreement_px".into(), done.disagreement_px.map(|px| rounded(px, 3)).to_vec().into());
+    table.insert("doubts".into(), doubts.into());
     table
 }
 

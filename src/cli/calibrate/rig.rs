@@ -153,12 +153,11 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     for warning in other_sd(&seen, &done).into_iter().chain(shared_pictures(&draft, searched)?) {
         tracing::warn!("{warning}");
     }
-    for doubt in diagnose(&done, &held) {
-        tracing::warn!("doubt: {doubt}");
-    }
+    let doubts: Vec<String> = diagnose(&done, &held).iter().map(ToString::to_string).collect();
+    doubts.iter().for_each(|doubt| tracing::warn!("doubt: {doubt}"));
     let page = calibration::page(&info(args, out, &seen, &done), &done, judged.as_ref(), &held);
     let mut rig = into_draft(draft, &done);
-    rig.provenance.insert("rig".into(), provenance(&seen, &done, judged.as_ref())?.into());
+    rig.provenance.insert("rig".into(), provenance(&seen, &done, judged.as_ref(), doubts)?.into());
     let written = save(&rig, out)?;
     let page_path = out.with_extension("calibration.html");
     save_page(&page, &page_path)?;
@@ -355,7 +354,12 @@ fn failure(error: RigCalibrationError) -> Failure {
     Failure::new(exit, error)
 }
 
-fn provenance(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>) -> Result<toml::Table, Failure> {
+fn provenance(
+    seen: &Seen,
+    done: &RigCalibration,
+    judged: Option<&Verdict>,
+    doubts: Vec<String>,
+) -> Result<toml::Table, Failure> {
     let mut table = match seen {
         Seen::Boards { board, searched, .. } => pictures::provenance("rig", board, searched)?,
         Seen::Points { file, .. } => pictures::provenance_of_points("rig", file)?,
@@ -374,6 +378,7 @@ fn provenance(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>) -> R
             judged.filled.map(|corner| toml::Value::from(corner.iter().map(|m| m * 1e3).collect::<Vec<f64>>()));
         table.insert("volume_mm".into(), corners.to_vec().into());
     }
+    table.insert("doubts".into(), doubts.into());
     Ok(table)
 }
 

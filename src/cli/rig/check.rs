@@ -96,7 +96,9 @@ fn brief(table: &toml::Table) -> toml::Table {
         toml::Value::Array(list) if list.len() > SHORT => format!("{} values", list.len()).into(),
         other => other.clone(),
     };
-    table.iter().map(|(key, value)| (key.clone(), shorter(value))).collect()
+    // Doubts are among the warnings.
+    let told = table.iter().filter(|(key, _)| *key != "doubts");
+    told.map(|(key, value)| (key.clone(), shorter(value))).collect()
 }
 
 fn describe(out: &mut String, file: &Path, rig: &Draft, checked: &Check) -> fmt::Result {
