@@ -4,13 +4,13 @@
 //! and stronger near edges; plus errors of the image model that no residual shows.
 
 use crate::track::chunk::Scene;
+use crate::track::compare::Scattered;
 use crate::track::equations::Eliminated;
 use crate::track::fit::{Look, TubeFit, ViewFit};
 use crate::track::image_model::{AT_REST, ModelError, coder_variance, may_be_coded};
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
 use crate::track::round::{Guess, Minimum, Round, shape_prior};
-use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, ShapeStep};
 use crate::track::tube_image::TubeImage;
@@ -43,13 +43,12 @@ impl Round<'_> {
             (scattered, may_be_coded(picture).then(|| view.comparison.differences()))
         });
         let (scatter, grain): (Vec<_>, Vec<_>) = scatter.unzip();
-        let (mut slip, mut slip_covariance) = (Seen::default(), SMatrix::zeros());
+        let mut slip_covariance = SMatrix::zeros();
         let predicted = picture.quantisation().is_some_and(|q| q.predicted);
         for (scattered, view) in scatter.iter().zip(&seen) {
             let coded = plain * (view.shape * scattered.coded) * plain;
             let coded = if rests && predicted { at_rest(&coded, &state.guess.shape.tangent()) } else { coded };
             covariance += scattered.covariance + coded;
-            slip.add(&scattered.slips.seen);
             slip_covariance += scattered.slips.covariance;
         }
         let Guess { shape, colours, images, .. } = end;
@@ -63,22 +62,34 @@ impl Round<'_> {
         let own = points.iter().zip(&seen).zip(normals).zip(&step.colours).map(|(((point, view), normal), colours)| {
             own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
         });
-        let rows = scatter.iter().map(|scattered| (scattered.rows, scattered.colours));
+        let shifts =
+            scatter.iter().map(|Scattered { slips, rows, colours, .. }| (slips.seen, slips.response, *rows, *colours));
         let looks = colours.into_iter().zip(views);
         let looks = looks.map(|(colours, view)| Look { colours, expected: view.expected_colours });
-        let seen = images.into_iter().zip(looks).zip(rows.zip(grain));
-        let views =
-            own.zip(normals).zip(seen).map(|((own, normal), ((image, look), ((rows, colour_shifts), grain)))| {
+        let seen = images.into_iter().zip(looks).zip(shifts.zip(grain));
+        let views = own.zip(normals).zip(seen).map(
+            |((own, normal), ((image, look), ((slip, slip_response, rows, colour_shifts), grain)))| {
                 let (residual_px, covariance) = own;
                 let residual_covariance_px2 = covariance * inflation;
                 let rms = rms(&normal.squares);
-                ViewFit { image, look, residual_px, residual_covariance_px2, rms, rows, colour_shifts, grain }
-            });
+                ViewFit {
+                    image,
+                    look,
+                    residual_px,
+                    residual_covariance_px2,
+                    rms,
+                    slip,
+                    slip_response,
+                    rows,
+                    colour_shifts,
+                    grain,
+                }
+            },
+        );
         Ok(TubeFit {
             shape,
             covariance,
             bound: plain,
-            slip,
             slip_covariance,
             views: views.collect(),
             way_px,

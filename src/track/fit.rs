@@ -54,6 +54,9 @@ pub(crate) struct ViewFit {
     pub residual_covariance_px2: Matrix2<f64>,
     /// RMS of the samples' residuals, stored units.
     pub rms: f64,
+    /// The observed slip of chroma, and the response of the shape to a slip of one pixel to the right, and down.
+    pub slip: Seen,
+    pub slip_response: SMatrix<f64, SHAPE, 2>,
     /// Shift of the even rows against the odd ones.
     pub rows: RowShift,
     /// How far two colours lie from the tube.
@@ -70,8 +73,7 @@ pub(crate) struct TubeFit {
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
     /// From independent noise alone, as large as the residuals.
     pub bound: SMatrix<f64, SHAPE, SHAPE>,
-    /// The observed slip of chroma, and what a slip of one square pixel adds to the covariance.
-    pub slip: Seen,
+    /// What a slip of chroma of one square pixel adds to the covariance.
     pub slip_covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub views: Vec<ViewFit>,
     /// How far it ended from its start by way of all steps, pixels.

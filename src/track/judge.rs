@@ -59,7 +59,7 @@ impl Judge {
     pub(crate) fn judge(&mut self, rig: &Rig, encoding: &Encoding, found: &Found, fitted: &mut [Fitted]) {
         self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
-            self.slip.add(&fit.slip.beyond(&self.mean_slip_px));
+            fit.views.iter().for_each(|view| self.slip.add(&view.slip.beyond(&self.mean_slip_px)));
         }
         let variance_px2 = self.slip.variance_px2();
         self.mean_slip_px = self.slip.mean_px();

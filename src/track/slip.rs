@@ -26,8 +26,10 @@ pub(crate) struct Slips {
     /// For each span, sums not mapped yet: the band, and the rows in both directions.
     waiting: Vec<Option<(usize, [[f32; ROW]; 2])>>,
     pub seen: Seen,
-    /// Covariance of the shape per slip variance of one square pixel.
+    /// Covariance of the shape per slip variance of one square pixel, if each band slips by itself.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
+    /// Response of the shape if all bands slip alike, per pixel to the right and down in the picture.
+    pub response: SMatrix<f64, SHAPE, 2>,
 }
 
 /// One band's chroma in one direction.
@@ -95,6 +97,7 @@ impl Slips {
             waiting: vec![None; spans],
             seen: Seen::default(),
             covariance: SMatrix::zeros(),
+            response: SMatrix::zeros(),
         }
     }
 
@@ -142,6 +145,7 @@ impl Slips {
                     pull: direction * (weight * seen / left),
                 });
                 self.covariance += slip.response * slip.response.transpose();
+                self.response += slip.response * direction.transpose();
             }
         }
     }

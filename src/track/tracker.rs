@@ -16,17 +16,19 @@ use crate::track::grain::Grain;
 use crate::track::group_fit::{Fitted, GroupFitting};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::judge::Judge;
+use crate::track::lag::Lag;
 use crate::track::lamp::Lamp;
 use crate::track::last::Last;
 use crate::track::light::Encoding;
 use crate::track::motion::Motion;
+use crate::track::order::Order;
 use crate::track::pairs::Pairs;
 use crate::track::repeats::Repeats;
 use crate::track::rolling::Rolling;
 use crate::track::scatter::Scatter;
 use crate::track::shake::Shake;
 use crate::track::trials::LONGEST_STEP_S;
-use crate::track::tube::TubeShape;
+use crate::track::tube::{ShapeStep, TubeShape};
 use nalgebra::Vector2;
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
@@ -55,6 +57,11 @@ const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from thos
      first frame: something is in front of it, the light is another, or they are coded otherwise; it is refused, but \
      in a noisier recording only in the first frames, and later σ may be too small: look at the overlay, and teach the \
      bands again";
+const COLOURS_LAG: &str = "colours lag behind the brightness of what moves: earlier pictures were blended into the \
+     chroma of these (noise reduction over time), so bands are measured too late; σ is widened by as much: record \
+     without it";
+const OUT_OF_ORDER: &str = "two pictures are in the wrong order, by the way the bands move: rows there are wrong, and σ \
+     does not cover that: restore the order, or leave these pictures out";
 const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
      vibrate, or the pictures were processed; σ of all positions is widened by as much";
 
@@ -105,6 +112,8 @@ pub struct Tracker {
     motion: Motion,
     focus: Focus,
     blending: Blending,
+    lag: Lag,
+    order: Order,
     shake: Shake,
     repeats: Repeats,
     pairs: Pairs,
@@ -140,6 +149,8 @@ impl Tracker {
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
             focus,
             blending: Blending::new(rig.markers.len()),
+            lag: Lag::default(),
+            order: Order::default(),
             shake: Shake::default(),
             repeats: Repeats::default(),
             pairs: Pairs::default(),
@@ -222,6 +233,7 @@ impl Tracker {
         let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
         views.filter_map(|view| view.grain.as_ref()).for_each(|grain| self.grain.add(grain));
         let moved_px = self.look_at_motion(frame.stamp, &fitted);
+        self.widen_by_lag(frame.stamp, &mut fitted);
         if self.fields.are_woven() {
             return Ok((Err(Miss::Interlaced), Some(Measured { found, fitted, moved_px })));
         }
@@ -230,6 +242,7 @@ impl Tracker {
         if self.repeats.stands_still(&estimate) {
             return Ok((Err(Miss::Repeated), None));
         }
+        self.order.add(&estimate);
         // 4. implausible motion becomes a miss
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         // Before σ is widened: pictures that repeat scatter.
@@ -258,6 +271,8 @@ impl Tracker {
             (self.shake.is_seen(), SHAKES),
             (self.focus.has_changed() && self.rig.camera.blur_px.is_some(), OUT_OF_FOCUS),
             (self.blending.is_seen(), BLENDED),
+            (self.lag.is_seen(), COLOURS_LAG),
+            (self.order.is_wrong(), OUT_OF_ORDER),
             (self.fields.are_woven(), WOVEN),
             (self.fringes.are_seen(), FRINGES),
         ];
@@ -325,9 +340,11 @@ impl Tracker {
         let (of_coil, fit) = self.of_coil(fitted)?;
         of_coil.views.iter().zip(&fit.views).for_each(|(v, view)| self.fringes.add(*v, &view.colour_shifts));
         let ways_px = self.ways_px(stamp, of_coil, fit)?;
+        self.lag.fade();
         for (view, way_px) in fit.views.iter().zip(&ways_px) {
             let [across, _] = view.image.at_arc(0.0).axes();
             self.fields.add(&view.rows, across.dot(way_px));
+            self.lag.add(&view.slip, way_px);
         }
         Some(ways_px.iter().map(Vector2::norm).fold(0.0, f64::max))
     }
@@ -365,15 +382,33 @@ impl Tracker {
         }
     }
 
-    /// How far the coil has moved in each view since it was last seen, pixels; `None` if that is too long ago.
-    fn ways_px(&self, stamp: Timestamp, of_coil: &Fitted, fit: &TubeFit) -> Option<Vec<Vector2<f64>>> {
-        let last = self.before[of_coil.group.reference].as_ref()?;
+    /// Widens covariances by how much late colours move the fits.
+    fn widen_by_lag(&self, stamp: Timestamp, fitted: &mut [Fitted]) {
+        let late = self.lag.late();
+        if late == 0.0 {
+            return;
+        }
+        for fitted in fitted {
+            let Ok(fit) = &fitted.result else { continue };
+            let Some(ways_px) = self.ways_px(stamp, fitted, fit) else { continue };
+            let behind = fit.views.iter().zip(&ways_px).map(|(view, way_px)| view.slip_response * (way_px * late));
+            let behind: ShapeStep = behind.sum();
+            if let Ok(fit) = &mut fitted.result {
+                fit.covariance += behind * behind.transpose();
+            }
+        }
+    }
+
+    /// How far a group's reference has moved in each view since it was last seen, pixels; `None` if that is too long
+    /// ago.
+    fn ways_px(&self, stamp: Timestamp, fitted: &Fitted, fit: &TubeFit) -> Option<Vec<Vector2<f64>>> {
+        let last = self.before[fitted.group.reference].as_ref()?;
         last.age_within_s(LONGEST_STEP_S, stamp)?;
         let way_px = |view: &usize| {
             let pixel = |shape: &TubeShape| self.rig.views[*view].optics.project(&shape.centre).ok();
             Some(pixel(&fit.shape)? - pixel(&last.shape)?)
         };
-        of_coil.views.iter().map(way_px).collect()
+        fitted.views.iter().map(way_px).collect()
     }
 
     fn take_blur(&mut self) {

@@ -175,6 +175,38 @@ fn pictures_blended_with_the_one_before_are_warned_of_and_sigma_says_how_late_ba
     assert!(count > 60 && mean < 3.0, "{mean} of {count} positions");
 }
 
+/// As noise reduction over time does that only reduces that of colours.
+#[test]
+fn colours_blended_with_those_before_are_warned_of() {
+    let swing = frames(FIRST, 3 * COUNT, |picture| composed(picture, picture, 0));
+    let mut before = composed(&swing[0].picture, &swing[0].picture, 0);
+    let late: Vec<Frame> = swing
+        .iter()
+        .map(|frame| {
+            let [now, both] = [composed(&frame.picture, &frame.picture, 0), averaged(&frame.picture, &before)];
+            let row = |i: usize, j: usize| {
+                let plane = if i == 0 { &now } else { &both }.plane(i).unwrap();
+                plane.row(j).unwrap()[..plane.width].to_vec()
+            };
+            before = with_rows(&now, row);
+            Frame { picture: with_rows(&now, row), ..*frame }
+        })
+        .collect();
+    let ((sound, silent), (late, warned)) = (tracked(&swing), tracked(&late));
+    assert!(!silent && warned);
+    let (mean, count) = mean_square(&sound[COUNT..], &late[COUNT..], 1..3);
+    assert!(count > 100 && mean < 2.0, "{mean} of {count} positions");
+}
+
+#[test]
+fn exchanged_pictures_are_warned_of() {
+    let mut swing = swing();
+    let [a, b] = [20, 21].map(|k| composed(&swing[k].picture, &swing[k].picture, 0));
+    (swing[20].picture, swing[21].picture) = (b, a);
+    let (_, warned) = tracked(&swing);
+    assert!(warned);
+}
+
 /// As a grabber of interlaced video writes it.
 #[test]
 fn fields_woven_without_a_mark_are_refused_as_soon_as_they_are_known() {
