@@ -178,6 +178,11 @@ pub enum Diagnostic {
     },
     /// The record is too short for a frequency response without a model.
     NoSpectrum,
+    /// Samples so far apart that the times may have another unit.
+    Slow {
+        /// Seconds from sample to sample.
+        period_s: f64,
+    },
 }
 
 impl fmt::Display for Diagnostic {
@@ -314,6 +319,9 @@ impl fmt::Display for Diagnostic {
                     f,
                     "{periods} periods are averaged: from 7 on their noise is known well enough for the σ of H(s)"
                 )
+            }
+            Self::Slow { period_s } => {
+                write!(f, "samples are {period_s:.4} s apart: are the times milliseconds? They are taken as seconds")
             }
             Self::NoSpectrum => {
                 write!(

@@ -26,6 +26,8 @@ const NEARLY_UNSTABLE: f64 = 1e-4;
 const FIRST_PERIOD_LIMIT: f64 = 2.0;
 /// Significance limit of a residual beyond noise, in σ.
 const SIGNIFICANT_SD: f64 = 3.3;
+/// Seconds from sample to sample of no catheter: a unit may be wrong.
+const SLOW_S: f64 = 1.0;
 /// Number of periods from which the expressions for estimated variances hold (see `periodic`).
 const ENOUGH_PERIODS: usize = 7;
 
@@ -37,6 +39,9 @@ const WORSE_THAN_ZERO_PERCENT: f64 = 100.0;
 /// All diagnostics about a result.
 pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic> {
     let mut diagnostics = Vec::new();
+    if data.period_s > SLOW_S {
+        diagnostics.push(Diagnostic::Slow { period_s: data.period_s });
+    }
     for model in &done.models {
         let (title, largest_pole) = (model.title.clone(), model.largest_pole);
         if !model.is_stable() {

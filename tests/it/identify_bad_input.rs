@@ -208,6 +208,14 @@ fn one_wrong_time_stamp_is_named() {
 }
 
 #[test]
+fn times_in_milliseconds_are_asked_about() {
+    let folder = tempfile::tempdir().unwrap();
+    table(folder.path(), "ms.csv", 400, |_, t, u, y| [t * 1e3, u, y].map(|v| v.to_string()));
+    let (code, message) = identify(folder.path(), &[&["ms.csv", "-o", "out"], &COLUMNS, &SECOND]);
+    assert!(code == 0 && message.contains("10.0000 s apart: are the times milliseconds?"), "{code}: {message}");
+}
+
+#[test]
 fn a_fit_in_an_unknown_state_begins_there() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

@@ -6,7 +6,7 @@ use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
-use crate::rig::Rig;
+use crate::rig::{Marker, Rig};
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
 
@@ -34,6 +34,9 @@ const GAMMA_STEP: f64 = 0.1;
 const GAMMAS: (f64, f64) = (0.25, 1.4);
 const MIN_GAIN: f64 = 0.001;
 const MIN_GAIN_SDS: f64 = 3.0;
+/// Step of the search for a band's length, and its limits, as ratios to the given one.
+const LENGTH_STEP: f64 = 0.05;
+const LENGTHS: (f64, f64) = (0.74, 1.36);
 /// Independent thirds of the frames, whose results give the σ of a distance, and its least σ, metres.
 const PARTS: usize = 3;
 const MIN_FITTED_SD_M: f64 = 0.01e-3;
@@ -149,6 +152,36 @@ fn combined(arcs: &[(f64, f64)], bend_is_known: bool) -> Option<(f64, f64)> {
     // The error of the bend has the same sign in all frames.
     let shape = mean(&|arc| NO_ARC * arc.1);
     (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * MIN_SD_M).powi(2)).sqrt()))
+}
+
+/// The lengths of coil and next band with which the pictures are explained best, metres, with σ; `None` for other bands,
+/// whose ends do not all lie in the fitted stretch or may be covered by the clamp, and where the pictures do not tell.
+pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> {
+    let some = every(frames, TUNING_FRAMES);
+    let parts: Vec<Compared<'_>> = (0..PARTS)
+        .map(|part| Compared::with(rig, some.iter().skip(part).step_by(PARTS).copied().collect(), &[]))
+        .collect();
+    let coil = rig.catheter.coil;
+    let fitted = |(m, marker): (usize, &Marker)| {
+        if m != coil && m != coil + 1 {
+            return None;
+        }
+        let with = |length_m: f64| {
+            let mut changed = rig.clone();
+            changed.markers[m].length_m = length_m;
+            changed
+        };
+        let given = marker.length_m;
+        let limits = (given * LENGTHS.0, given * LENGTHS.1);
+        let best = |part: &Compared<'_>| {
+            let best = minimise(given, given * LENGTH_STEP, limits, |length_m| part.excess(&with(length_m)))?;
+            (best.curvature > 0.0).then_some(best.at)
+        };
+        let (mean, sd) = mean_of_parts(&parts.iter().map(best).collect::<Option<Vec<f64>>>()?);
+        tracing::debug!("{} fits best with a length of {:.3} ± {:.3} mm", marker.name, mean * 1e3, sd * 1e3);
+        Some((mean, sd))
+    };
+    rig.markers.iter().enumerate().map(fitted).collect()
 }
 
 /// Blur, chroma offset, gamma and, unless it is stated, exposure. A wrong gamma and motion both look like blur: once

@@ -1,7 +1,8 @@
 //! Whether the pictures show a tube of the given diameter and bands of the given lengths.
 //!
 //! Across a band, and along it, each colour is a mixture of band and background (or tube). The sum of the band's
-//! fractions is its width or length in pixels, however blurred the picture is.
+//! fractions is its width or length in pixels, however blurred the picture is. Light and shade on a round tube make that
+//! coarse; the lengths of coil and next band are fitted as well, and are good to a fifth of a pixel or so.
 
 use super::locate::pixels::{Pixels, Yuv};
 use crate::estimate::{BandObservation, Estimate};
@@ -25,7 +26,7 @@ impl std::fmt::Display for ContradictedDimension {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (given, seen) = (self.given_m * 1e3, self.seen_m * 1e3);
         match &self.band {
-            Some(name) => write!(f, "band `{name}` looks {seen:.0} mm long, not {given:.1} mm"),
+            Some(name) => write!(f, "band `{name}` looks {seen:.1} mm long, not {given:.1} mm"),
             None => write!(f, "the tube looks {seen:.1} mm thick, not {given:.2} mm"),
         }
     }
@@ -33,6 +34,8 @@ impl std::fmt::Display for ContradictedDimension {
 
 /// Plausible ratios of seen to given: shading on a round tube changes the apparent size.
 const PLAUSIBLE_RATIO: (f64, f64) = (0.75, 1.33);
+/// A fitted length must be off by so many diameters of the tube, and σ. Measured: 0.06 with lengths that are right.
+const OFF: (f64, f64) = (0.08, 4.0);
 /// Frames that are measured.
 const FRAMES: usize = 6;
 /// Spacing of the sample points, pixels, and contrast needed to determine fractions.
@@ -45,8 +48,13 @@ const BESIDE_PX: (f64, f64) = (2.5, 5.0);
 /// If that is still the band's colour, search further out, up to this many times the expected length.
 const MAX_SEARCH_LENGTHS: f64 = 3.0;
 
-/// Dimensions in the rig that differ from those in the pictures.
-pub(super) fn contradicted(rig: &Rig, frames: &[Frame], estimates: &[Estimate]) -> Vec<ContradictedDimension> {
+/// Dimensions in the rig that differ from those in the pictures; `fitted_m` are lengths of bands with σ, metres.
+pub(super) fn contradicted(
+    rig: &Rig,
+    frames: &[Frame],
+    estimates: &[Estimate],
+    fitted_m: &[Option<(f64, f64)>],
+) -> Vec<ContradictedDimension> {
     let mut widths = Vec::new();
     let mut lengths = vec![Vec::new(); rig.markers.len()];
     let every = frames.len().div_ceil(FRAMES).max(1);
@@ -68,8 +76,16 @@ pub(super) fn contradicted(rig: &Rig, frames: &[Frame], estimates: &[Estimate]) 
         })
     };
     let tube = judged(widths, None, rig.catheter.diameter_m);
-    let bands = rig.markers.iter().zip(lengths);
-    let bands = bands.filter_map(|(marker, ratios)| judged(ratios, Some(marker.name.clone()), marker.length_m));
+    let bands = rig.markers.iter().zip(lengths).zip(fitted_m).filter_map(|((marker, ratios), fitted)| {
+        let (band, given_m) = (Some(marker.name.clone()), marker.length_m);
+        let is_off = |(seen_m, sd_m): &(f64, f64)| {
+            (seen_m - given_m).abs() > (OFF.0 * rig.catheter.diameter_m).max(OFF.1 * sd_m)
+        };
+        judged(ratios, band.clone(), given_m).or_else(|| {
+            let (seen_m, _) = fitted.filter(is_off)?;
+            Some(ContradictedDimension { band, given_m, seen_m })
+        })
+    });
     tube.into_iter().chain(bands).collect()
 }
 

@@ -8,7 +8,7 @@
 //! 2. Colours are learned from the bands and their surroundings. With them the tracker must measure the same bands.
 //! 3. Frames from the whole recording are tracked, and the colours are learned again from all bands in all views.
 //! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are fitted
-//!    to the pictures; so are diameter and lengths, which are compared with the given ones.
+//!    to the pictures; so are the lengths of coil and next band, which are compared with those given.
 //!
 //! Nothing learned in an earlier run is used: the same recording and clicks give the same rig.
 
@@ -43,7 +43,7 @@ use crate::rig::Rig;
 use crate::source::times::seconds;
 use crate::source::{Frame, FrameSource};
 use crate::track::{TrackOptions, Tracker};
-use fitted::{place_bands, tune};
+use fitted::{lengths_m, place_bands, tune};
 use learned::{learn_views, set_models};
 use locate::pixels::Pixels;
 use locate::{Near, locate};
@@ -181,7 +181,7 @@ impl Teaching {
             answered: markers.clone().map(answered).collect(),
             first_miss: markers.clone().map(first_miss).collect(),
             centre_sd_m,
-            contradicted: measures::contradicted(rig, frames, &estimates),
+            contradicted: measures::contradicted(rig, frames, &estimates, &lengths_m(rig, frames)),
         };
         self.usable(&done)?;
         Ok(done)

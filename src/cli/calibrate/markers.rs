@@ -445,7 +445,9 @@ fn describe(done: &Teaching) -> String {
 /// Measures and exposures that do not look as they should.
 fn warnings(done: &Teaching) -> Vec<String> {
     let contradicted = done.outcome.iter().flat_map(|learned| &learned.contradicted);
-    let mut all: Vec<String> = contradicted.map(|measure| format!("{measure}: check the given value")).collect();
+    let mut all: Vec<String> = contradicted
+        .map(|measure| format!("{measure}: check the given value, and the size of the board's squares"))
+        .collect();
     for (view, info) in done.views.iter().zip(&done.rig.views) {
         for (name, exposure) in view.classes.iter().zip(&view.exposure) {
             if let Some(advice) = exposure.and_then(|exposure| exposure.advice()) {
