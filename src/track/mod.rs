@@ -25,6 +25,7 @@ mod lamp;
 mod last;
 mod light;
 mod motion;
+mod moved;
 mod no_fit;
 mod normal;
 mod order;
@@ -46,6 +47,7 @@ mod tube;
 mod tube_image;
 mod usual;
 mod view;
+mod warnings;
 
 pub use coil::deflection;
 pub(crate) use coil::{theta_derivative, theta_derivative_by_turn};

@@ -21,6 +21,7 @@ use crate::track::lamp::Lamp;
 use crate::track::last::Last;
 use crate::track::light::Encoding;
 use crate::track::motion::Motion;
+use crate::track::moved::Moved;
 use crate::track::order::Order;
 use crate::track::pairs::Pairs;
 use crate::track::repeats::Repeats;
@@ -29,41 +30,16 @@ use crate::track::scatter::Scatter;
 use crate::track::shake::Shake;
 use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::{ShapeStep, TubeShape};
+use crate::track::warnings::{
+    BLENDED, COLOURS_LAG, FRINGES, MOVED, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, UNLIKE_TAUGHT,
+    VIEWS_DISAGREE, WOVEN,
+};
 use nalgebra::Vector2;
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
 /// models are compared, more of it tells what is noise.
 const TRACKED_PX: f64 = 4.0;
 const COMPARED_PX: f64 = 5.0;
-
-const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same chroma: they were made from pictures \
-     with subsampled chroma, and what a coder lost there cannot be seen in them; σ assumes what is usual: track the \
-     original";
-const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: they do \
-     not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
-const OUT_OF_FOCUS: &str = "the pictures are clearly sharper or more blurred than those on which the bands were \
-     taught: focus, distance or processing have changed; their blur is measured and used, but the first frames were \
-     tracked without it: teach the bands again";
-const BLENDED: &str = "what moves is blurred by more than any exposure explains: earlier pictures were blended into \
-     these (noise reduction over time, conversion of the frame rate), so bands are measured too late; σ is widened by \
-     as much: record without it";
-const WOVEN: &str = "even and odd rows of the pictures show different moments, although they are not marked as \
-     interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
-     trusted: record progressive frames";
-const FRINGES: &str = "red and blue lie apart in the pictures, by 0.45 pixels or more: the lens shows them at \
-     different places (lateral chromatic aberration), or chroma is not stored where the recording says; σ does not \
-     cover that: use another lens, or the middle of the picture";
-const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from those on which it was taught, since the \
-     first frame: something is in front of it, the light is another, or they are coded otherwise; it is refused, but \
-     in a noisier recording only in the first frames, and later σ may be too small: look at the overlay, and teach the \
-     bands again";
-const COLOURS_LAG: &str = "colours lag behind the brightness of what moves: earlier pictures were blended into the \
-     chroma of these (noise reduction over time), so bands are measured too late; σ is widened by as much: record \
-     without it";
-const OUT_OF_ORDER: &str = "two pictures are in the wrong order, by the way the bands move: rows there are wrong, and σ \
-     does not cover that: restore the order, or leave these pictures out";
-const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
-     vibrate, or the pictures were processed; σ of all positions is widened by as much";
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -115,6 +91,7 @@ pub struct Tracker {
     lag: Lag,
     order: Order,
     shake: Shake,
+    moved: Moved,
     repeats: Repeats,
     pairs: Pairs,
     grain: Grain,
@@ -152,6 +129,7 @@ impl Tracker {
             lag: Lag::default(),
             order: Order::default(),
             shake: Shake::default(),
+            moved: Moved::default(),
             repeats: Repeats::default(),
             pairs: Pairs::default(),
             grain: Grain::default(),
@@ -269,6 +247,7 @@ impl Tracker {
             (self.judge.views_disagree(), VIEWS_DISAGREE),
             (self.judge.usual.is_unlike_learned(), UNLIKE_TAUGHT),
             (self.shake.is_seen(), SHAKES),
+            (self.moved.is_seen(), MOVED),
             (self.focus.has_changed() && self.rig.camera.blur_px.is_some(), OUT_OF_FOCUS),
             (self.blending.is_seen(), BLENDED),
             (self.lag.is_seen(), COLOURS_LAG),
@@ -415,6 +394,7 @@ impl Tracker {
         self.model.blur_px = self.focus.blur_px();
         // The base band moves with the model, not with the camera.
         self.shake.forget();
+        self.moved.forget();
     }
 
     /// Remembers where the tube is, for later frames.
@@ -435,8 +415,9 @@ impl Tracker {
         let base = estimate.markers.first().map(|base| &base.position);
         if let (Some(Ok(base)), Some(_)) = (base, &self.rig.base) {
             self.shake.add(stamp, base.point.coords, &base.covariance);
+            self.moved.add(base.point.coords, &base.covariance);
         }
-        let shake = self.shake.at(stamp);
+        let shake = self.shake.at(stamp) + self.moved.covariance();
         for (marker, scatter) in estimate.markers.iter_mut().zip(&mut self.scatter) {
             if let Ok(position) = &mut marker.position {
                 position.covariance *= scatter.add(stamp, position.point.coords, &position.covariance, persisting);

@@ -245,3 +245,18 @@ fn a_shaking_camera_widens_sigma_by_as_much_and_is_warned_of() {
     let (mean, count) = mean_square(&still[12..], &shaken[12..], 0..still[0].markers.len());
     assert!(count > 60 && (0.2..3.0).contains(&mean), "{mean} of {count} positions");
 }
+
+/// By two pixels, once.
+#[test]
+fn a_knocked_camera_widens_sigma_by_as_much_and_is_warned_of() {
+    let still = frames(FIRST, 3 * COUNT, |picture| composed(picture, picture, 0));
+    let knocked: Vec<Frame> = still
+        .iter()
+        .enumerate()
+        .map(|(k, frame)| Frame { picture: moved(&frame.picture, if k < COUNT { 0 } else { 2 }), ..*frame })
+        .collect();
+    let ((still, _), (knocked, warned)) = (tracked(&still), tracked(&knocked));
+    assert!(warned);
+    let (mean, count) = mean_square(&still[2 * COUNT..], &knocked[2 * COUNT..], 0..still[0].markers.len());
+    assert!(count > 60 && (0.2..2.0).contains(&mean), "{mean} of {count} positions");
+}

@@ -1,0 +1,33 @@
+//! What [`Tracker::warning`](super::Tracker::warning) says of the pictures.
+
+pub(super) const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same chroma: they were made from \
+     pictures with subsampled chroma, and what a coder lost there cannot be seen in them; σ assumes what is usual: \
+     track the original";
+pub(super) const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: \
+     they do not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
+pub(super) const OUT_OF_FOCUS: &str = "the pictures are clearly sharper or more blurred than those on which the bands \
+     were taught: focus, distance or processing have changed; their blur is measured and used, but the first frames \
+     were tracked without it: teach the bands again";
+pub(super) const BLENDED: &str = "what moves is blurred by more than any exposure explains: earlier pictures were \
+     blended into these (noise reduction over time, conversion of the frame rate), so bands are measured too late; σ \
+     is widened by as much: record without it";
+pub(super) const WOVEN: &str = "even and odd rows of the pictures show different moments, although they are not marked \
+     as interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
+     trusted: record progressive frames";
+pub(super) const FRINGES: &str = "red and blue lie apart in the pictures, by 0.45 pixels or more: the lens shows them \
+     at different places (lateral chromatic aberration), or chroma is not stored where the recording says; σ does not \
+     cover that: use another lens, or the middle of the picture";
+pub(super) const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from those on which it was taught, \
+     since the first frame: something is in front of it, the light is another, or they are coded otherwise; it is \
+     refused, but in a noisier recording only in the first frames, and later σ may be too small: look at the overlay, \
+     and teach the bands again";
+pub(super) const COLOURS_LAG: &str = "colours lag behind the brightness of what moves: earlier pictures were blended \
+     into the chroma of these (noise reduction over time), so bands are measured too late; σ is widened by as much: \
+     record without it";
+pub(super) const OUT_OF_ORDER: &str = "two pictures are in the wrong order, by the way the bands move: rows there are \
+     wrong, and σ does not cover that: restore the order, or leave these pictures out";
+pub(super) const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or \
+     clamp vibrate, or the pictures were processed; σ of all positions is widened by as much";
+pub(super) const MOVED: &str = "the base band, which should rest, is not where it was in the first frames: camera, \
+     mirror, tank or clamp have moved since, or the band is too far from its clamp; σ of all positions is widened by \
+     as much";
