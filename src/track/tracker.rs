@@ -415,7 +415,9 @@ impl Tracker {
         let base = estimate.markers.first().map(|base| &base.position);
         if let (Some(Ok(base)), Some(_)) = (base, &self.rig.base) {
             self.shake.add(stamp, base.point.coords, &base.covariance);
-            self.moved.add(base.point.coords, &base.covariance);
+            if let Ok(tangent) = &estimate.tangent {
+                self.moved.add(base, &tangent.direction);
+            }
         }
         let shake = self.shake.at(stamp) + self.moved.covariance();
         for (marker, scatter) in estimate.markers.iter_mut().zip(&mut self.scatter) {
