@@ -50,8 +50,9 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     for astray in pictures::astray(done.used.iter(), done.corner_sd_px) {
         tracing::warn!("{astray}");
     }
-    let doubts: Vec<String> = done.diagnostics.iter().map(ToString::to_string).collect();
-    doubts.iter().for_each(|doubt| tracing::warn!("{doubt}"));
+    for diagnostic in &done.diagnostics {
+        tracing::warn!("{diagnostic}");
+    }
     let mut draft = match old {
         Some(old) => {
             if let Some(said) = left_out(&old) {
@@ -77,7 +78,6 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
         (0..done.noise_covariance.nrows()).map(|i| done.noise_covariance[(i, i)].sqrt().into()).collect();
     provenance.insert("lens_sd_by_noise".into(), noise.into());
     provenance.insert("board_bend_mm".into(), done.shape.bend_m.map(|m| m * 1e3).to_vec().into());
-    provenance.insert("doubts".into(), doubts.into());
     draft.provenance.insert("camera".into(), provenance.into());
     let written = save(&draft, &args.out)?;
     print(&format!("\n{written}\n"))
