@@ -11,8 +11,8 @@
 //! commands that are missing), the data do not tell which is right: the one nearest to the times as given is taken, and
 //! the others are named.
 //!
-//! σ holds for residuals of any colour (see `colour`), and where parts of the record contradict each other. The possible
-//! shift of the delay from averaging the current between frames is added in quadrature.
+//! σ holds for residuals of any colour (see `colour`), and where parts of the record contradict each other. The
+//! possible shift of the delay from averaging the current between frames is added in quadrature.
 
 use super::arx;
 use super::colour::Colour;

@@ -62,30 +62,27 @@ impl Round<'_> {
         let own = points.iter().zip(&seen).zip(normals).zip(&step.colours).map(|(((point, view), normal), colours)| {
             own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
         });
-        let shifts =
-            scatter.iter().map(|Scattered { slips, rows, colours, .. }| (slips.seen, slips.response, *rows, *colours));
         let looks = colours.into_iter().zip(views);
         let looks = looks.map(|(colours, view)| Look { colours, expected: view.expected_colours });
-        let seen = images.into_iter().zip(looks).zip(shifts.zip(grain));
-        let views = own.zip(normals).zip(seen).map(
-            |((own, normal), ((image, look), ((slip, slip_response, rows, colour_shifts), grain)))| {
-                let (residual_px, covariance) = own;
-                let residual_covariance_px2 = covariance * inflation;
-                let rms = rms(&normal.squares);
-                ViewFit {
-                    image,
-                    look,
-                    residual_px,
-                    residual_covariance_px2,
-                    rms,
-                    slip,
-                    slip_response,
-                    rows,
-                    colour_shifts,
-                    grain,
-                }
-            },
-        );
+        let seen = images.into_iter().zip(looks).zip(scatter.into_iter().zip(grain));
+        let views = own.zip(normals).zip(seen).map(|((own, normal), ((image, look), (scattered, grain)))| {
+            let (residual_px, covariance) = own;
+            let residual_covariance_px2 = covariance * inflation;
+            let rms = rms(&normal.squares);
+            let Scattered { slips, rows, colours: colour_shifts, .. } = scattered;
+            ViewFit {
+                image,
+                look,
+                residual_px,
+                residual_covariance_px2,
+                rms,
+                slip: slips.seen,
+                slip_response: slips.response,
+                rows,
+                colour_shifts,
+                grain,
+            }
+        });
         Ok(TubeFit {
             shape,
             covariance,

@@ -3,11 +3,11 @@
 //!
 //! Method. The residuals of the fit tell how far the chroma of the bands has slipped from their luma in each view
 //! (slip.rs). Over frames in which the coil moves by a few pixels, that slip is compared with the way since the last
-//! frame: what is in proportion to it, and against it, is a lag, in frames. The fit follows luma and chroma both: how its
-//! shape responds to chroma that lies behind by the lag times the way belongs into its covariance.
+//! frame: what is in proportion to it, and against it, is a lag, in frames. The fit follows luma and chroma both: how
+//! its shape responds to chroma that lies behind by the lag times the way belongs into its covariance.
 //!
-//! Cannot detect: a lag while nothing moves; any in pictures that have the same chroma and luma sampling, where a slip is
-//! not measured.
+//! Cannot detect: a lag while nothing moves; any in pictures that have the same chroma and luma sampling, where a slip
+//! is not measured.
 
 use crate::track::slip::Seen;
 use nalgebra::Vector2;
@@ -17,8 +17,9 @@ use nalgebra::Vector2;
 const MOTION_PX: std::ops::Range<f64> = 0.7..5.0;
 /// Lag as it is seen beyond which chroma is late, frames. Measured: up to 0.05 in recordings by coders of all kinds.
 const LEAST: f64 = 0.12;
-/// Part of a lag that is seen at most: a blend leaves most of a band's colour where the band is, and a slip by more than
-/// the blur looks smaller than it is. Measured: 0.13 and 0.22 of 0.43 frames (30 % of the picture before), 0.79 of 1.
+/// Part of a lag that is seen at most: a blend leaves most of a band's colour where the band is, and a slip by more
+/// than the blur looks smaller than it is. Measured: 0.13 and 0.22 of 0.43 frames (30 % of the picture before), 0.79 of
+/// 1.
 const SEEN: f64 = 0.5;
 /// Standard deviations of its noise that it must exceed.
 const CLEAR_SD: f64 = 6.0;

@@ -1,13 +1,13 @@
-//! Notices a camera, mirror or tank that was moved during the run, by a knock or little by little, seen at the base band,
-//! which rests but for what the tube bends it.
+//! Notices a camera, mirror or tank that was moved during the run, by a knock or little by little, seen at the base
+//! band, which rests but for what the tube bends it.
 //!
 //! Method. A line is fitted to the base band's positions over the direction of the coil, with which a band that is not
 //! quite at the clamp moves. The mean of its latest positions is compared with this line. Both have the same errors of
 //! rig and image model. By how much it is off is the error of all positions, if the rig still is where it was at first,
 //! and belongs into their covariance; the line stays as it is from then on.
 //!
-//! Cannot tell: moves before the run or that the base band does not see (the tally's drift alarms see some of them); which
-//! of both moments the rig is right for; a creep over all of a run, of which half is taken for rest.
+//! Cannot tell: moves before the run or that the base band does not see (the tally's drift alarms see some of them);
+//! which of both moments the rig is right for; a creep over all of a run, of which half is taken for rest.
 
 use crate::estimate::Position;
 use nalgebra::{Matrix3, Matrix4, Matrix4x3, Vector3, Vector4};

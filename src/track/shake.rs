@@ -5,8 +5,9 @@
 //! what its covariance explains, is shake, and belongs into the covariance of all positions. The line is there because
 //! a base that is pushed steadily does not shake. What neither shakes nor moves along the line rests.
 //!
-//! Cannot tell: vibration that moves only the picture of other bands; motion slower than the half second (moved.rs); shake too small beside the base's own covariance; shake from a base band so far from its
-//! clamp that it moves with the tube.
+//! Cannot tell: vibration that moves only the picture of other bands; motion slower than the half second
+//! (moved.rs); shake too small beside the base's own covariance; shake from a base band so far from its clamp that it
+//! moves with the tube.
 
 use crate::source::Timestamp;
 use nalgebra::{Matrix3, SymmetricEigen, U3, Vector3};

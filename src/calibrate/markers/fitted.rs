@@ -90,15 +90,7 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
             }
             shifted
         };
-        let parts = (0..PARTS).map(|part| -> Option<f64> {
-            let frames: Vec<&Frame> = some.iter().skip(part).step_by(PARTS).copied().collect();
-            let compared = Compared::with(rig, frames, &[]);
-            let best = minimise(start, 0.2e-3, (start * 0.9, start * 1.1), |arc| compared.excess(&shifted(arc)))?;
-            // No curvature: the two are not fitted together, so the pictures do not determine it.
-            (best.curvature > 0.0).then_some(best.at)
-        });
-        if let Some(parts) = parts.collect::<Option<Vec<f64>>>() {
-            let (mean, sd) = mean_of_parts(&parts);
+        if let Some((mean, sd)) = determined(rig, &some, start, 0.2e-3, (start * 0.9, start * 1.1), shifted) {
             sd_m[m] = Some(sd.max(MIN_FITTED_SD_M));
             *rig = shifted(mean);
         }
@@ -154,13 +146,30 @@ fn combined(arcs: &[(f64, f64)], bend_is_known: bool) -> Option<(f64, f64)> {
     (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * MIN_SD_M).powi(2)).sqrt()))
 }
 
-/// The lengths of coil and next band with which the pictures are explained best, metres, with σ; `None` for other bands,
-/// whose ends do not all lie in the fitted stretch or may be covered by the clamp, and where the pictures do not tell.
+/// The length, metres, with which the pictures are explained best, from independent parts of the frames, with its σ;
+/// `None` where they do not determine it. `with` is the rig with another length.
+fn determined(
+    rig: &Rig,
+    frames: &[&Frame],
+    start: f64,
+    step: f64,
+    limits: (f64, f64),
+    with: impl Fn(f64) -> Rig,
+) -> Option<(f64, f64)> {
+    let parts = (0..PARTS).map(|part| {
+        let compared = Compared::with(rig, frames.iter().skip(part).step_by(PARTS).copied().collect(), &[]);
+        let best = minimise(start, step, limits, |length_m| compared.excess(&with(length_m)))?;
+        // No curvature: what it changes is not fitted, or not together.
+        (best.curvature > 0.0).then_some(best.at)
+    });
+    Some(mean_of_parts(&parts.collect::<Option<Vec<f64>>>()?))
+}
+
+/// The lengths of coil and next band with which the pictures are explained best, metres, with σ; `None` for other
+/// bands, whose ends do not all lie in the fitted stretch or may be covered by the clamp, and where the pictures do not
+/// tell.
 pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> {
     let some = every(frames, TUNING_FRAMES);
-    let parts: Vec<Compared<'_>> = (0..PARTS)
-        .map(|part| Compared::with(rig, some.iter().skip(part).step_by(PARTS).copied().collect(), &[]))
-        .collect();
     let coil = rig.catheter.coil;
     let fitted = |(m, marker): (usize, &Marker)| {
         if m != coil && m != coil + 1 {
@@ -173,11 +182,7 @@ pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> 
         };
         let given = marker.length_m;
         let limits = (given * LENGTHS.0, given * LENGTHS.1);
-        let best = |part: &Compared<'_>| {
-            let best = minimise(given, given * LENGTH_STEP, limits, |length_m| part.excess(&with(length_m)))?;
-            (best.curvature > 0.0).then_some(best.at)
-        };
-        let (mean, sd) = mean_of_parts(&parts.iter().map(best).collect::<Option<Vec<f64>>>()?);
+        let (mean, sd) = determined(rig, &some, given, given * LENGTH_STEP, limits, with)?;
         tracing::debug!("{} fits best with a length of {:.3} ± {:.3} mm", marker.name, mean * 1e3, sd * 1e3);
         Some((mean, sd))
     };

@@ -1,8 +1,8 @@
 //! Whether the pictures show a tube of the given diameter and bands of the given lengths.
 //!
 //! Across a band, and along it, each colour is a mixture of band and background (or tube). The sum of the band's
-//! fractions is its width or length in pixels, however blurred the picture is. Light and shade on a round tube make that
-//! coarse; the lengths of coil and next band are fitted as well, and are good to a fifth of a pixel or so.
+//! fractions is its width or length in pixels, however blurred the picture is. Light and shade on a round tube make
+//! that coarse; the lengths of coil and next band are fitted as well, and are good to a fifth of a pixel or so.
 
 use super::locate::pixels::{Pixels, Yuv};
 use crate::estimate::{BandObservation, Estimate};
