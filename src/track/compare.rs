@@ -3,13 +3,16 @@
 //! [`Comparison::render`] evaluates the model and compares it with all samples. Derivatives are formed from it chunk by
 //! chunk, where they are summed, and not kept.
 
+use crate::source::Picture;
 use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
 use crate::track::fields::RowShift;
 use crate::track::fringes::Pair;
 use crate::track::grain::Differences;
+use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
 use crate::track::padded::{PADDED, Padded, products, unpadded_square};
-use crate::track::patch::{Layer, Patch};
+use crate::track::patch::{Layer, Patch, Shown};
+use crate::track::places::Density;
 use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy};
 use multiversion::multiversion;
@@ -83,6 +86,7 @@ impl Bunches {
 /// The memory of a comparison, of which there are many in every frame: that of earlier ones is used again.
 #[derive(Default)]
 struct Memory {
+    patch: Patch,
     /// The points of the pixels, then those of the other layers.
     bunches: Vec<Bunches>,
     /// For each of them, 1 near the tube, 0 in the background.
@@ -91,6 +95,12 @@ struct Memory {
     channels: Vec<Compared>,
     sums: Sums,
     rows: Box<Rows>,
+    /// Sums of rows over each cell, and of the weights; those of rows over each square, mapped to the shape; the
+    /// variances of each square.
+    cells: Vec<Row>,
+    coded: Vec<[f32; 3]>,
+    squares: Vec<Padded>,
+    variances: Vec<[f64; 3]>,
 }
 
 /// Memories in no use; more than these are dropped.
@@ -98,10 +108,9 @@ static SPARE: Mutex<Vec<Memory>> = Mutex::new(Vec::new());
 const MAX_SPARE: usize = 16;
 
 impl Memory {
-    fn of(patch: &Patch) -> Self {
-        let spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let mut memory = spare.unwrap_or_default();
-        let Self { bunches, near, channels, sums, .. } = &mut memory;
+    /// Makes room for what its patch is compared with.
+    fn prepare(&mut self) {
+        let Self { patch, bunches, near, channels, sums, .. } = self;
         let layers = patch.layers().count();
         bunches.resize_with(layers, Bunches::default);
         near.resize_with(layers, Vec::new);
@@ -110,16 +119,14 @@ impl Memory {
             near.clear();
             near.extend(layer.near().map(|near| if near { 1.0 } else { 0.0 }));
         }
-        let points = patch.layers().flat_map(|layer| layer.channels.iter().map(|_| layer.x.len()));
-        let points: Vec<usize> = points.collect();
-        channels.resize_with(points.len(), Compared::default);
-        for (compared, points) in channels.iter_mut().zip(points) {
+        let points = || patch.layers().flat_map(|layer| layer.channels.iter().map(|_| layer.x.len()));
+        channels.resize_with(points().count(), Compared::default);
+        for (compared, points) in channels.iter_mut().zip(points()) {
             compared.predicted.resize(patch.pixels.x.len(), 0.0);
             compared.residuals.resize(points, 0.0);
             compared.weights.resize(points, 0.0);
         }
         sums.resize(patch.spans.len());
-        memory
     }
 }
 
@@ -143,7 +150,6 @@ struct Weighed {
 
 /// A patch compared with the model.
 pub(crate) struct Comparison {
-    patch: Patch,
     memory: Memory,
     /// Those of the last equations, if they were kept.
     scores: Option<Scores>,
@@ -155,6 +161,7 @@ impl Drop for Comparison {
         if std::thread::panicking() {
             return;
         }
+        self.recycle();
         let mut spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner);
         if spare.len() < MAX_SPARE {
             spare.push(std::mem::take(&mut self.memory));
@@ -175,11 +182,14 @@ struct Scores {
 }
 
 impl Scores {
-    fn new(patch: &Patch, scene: &Scene<'_>) -> Self {
-        let cells = patch.cells.len();
+    /// Still without any, in memory that is not needed any more.
+    fn new(patch: &Patch, scene: &Scene<'_>, mut cells: Vec<Row>, mut coded: Vec<[f32; 3]>) -> Self {
+        cells.clear();
+        cells.resize(patch.cells.len(), [0.0; ROW]);
+        coded.clear();
+        coded.resize(patch.cells.len(), [0.0; 3]);
         let slips = Slips::new(scene.layout, patch.spans.len());
-        let (rows, colours) = (RowShift::default(), Pair::default());
-        Self { cells: vec![[0.0; ROW]; cells], slips, rows, colours, said: 0.0, coded: vec![[0.0; 3]; cells] }
+        Self { cells, slips, rows: RowShift::default(), colours: Pair::default(), said: 0.0, coded }
     }
 
     fn add(&mut self, part: &Part<'_>) {
@@ -240,14 +250,39 @@ impl Part<'_> {
 }
 
 impl Comparison {
-    pub(crate) fn new(patch: Patch) -> Self {
-        let memory = Memory::of(&patch);
-        Self { patch, memory, scores: None }
+    /// A patch that is still to be compared.
+    ///
+    /// # Errors
+    /// As [`Patch::select`].
+    pub(crate) fn select(
+        picture: &Picture,
+        shown: &Shown<'_>,
+        chroma_offset_px: [f64; 2],
+        density: Density,
+        margin_px: f64,
+    ) -> Result<Self, NoFit> {
+        let spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut comparison = Self { memory: spare.unwrap_or_default(), scores: None };
+        comparison.memory.patch.select(picture, shown, chroma_offset_px, density, margin_px)?;
+        comparison.memory.prepare();
+        Ok(comparison)
+    }
+
+    /// What is compared.
+    pub(crate) fn patch(&self) -> &Patch {
+        &self.memory.patch
+    }
+
+    /// Takes back the memory of scores that are not needed any more.
+    fn recycle(&mut self) {
+        if let Some(Scores { cells, coded, .. }) = self.scores.take() {
+            (self.memory.cells, self.memory.coded) = (cells, coded);
+        }
     }
 
     /// Evaluates the model at all pixels, and compares it with all samples.
     pub(crate) fn render(&mut self, scene: &Scene<'_>) {
-        let Self { patch, memory: Memory { bunches, channels, .. }, .. } = self;
+        let Memory { patch, bunches, channels, .. } = &mut self.memory;
         let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
         for (i, (layer, bunches)) in patch.layers().zip(bunches).enumerate() {
@@ -285,9 +320,9 @@ impl Comparison {
     /// Weights the residuals by their noise.
     fn weigh(&mut self, noise: &Noise) -> Weighed {
         let mut weighed = Weighed { cost: 0.0, squares: Squares::default() };
-        let Memory { near, channels, .. } = &mut self.memory;
+        let Memory { patch, near, channels, .. } = &mut self.memory;
         let mut channels = channels.iter_mut();
-        for (layer, near) in self.patch.layers().zip(&*near) {
+        for (layer, near) in patch.layers().zip(&*near) {
             let near_count = layer.near().filter(|near| *near).count();
             for (channel, compared) in layer.channels.iter().zip(&mut channels) {
                 let noise = &noise[usize::from(channel.number)];
@@ -321,7 +356,7 @@ impl Comparison {
 
     /// Forms the derivatives of all samples, of the model as it was rendered.
     fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
-        let Self { patch, memory: Memory { bunches, channels, sums, rows, .. }, .. } = self;
+        let Memory { patch, bunches, channels, sums, rows, .. } = &mut self.memory;
         let Patch { middle, spans, colour_channels, .. } = &*patch;
         let light = scene.light();
         let mut channels = &channels[..];
@@ -366,32 +401,36 @@ impl Comparison {
     /// Normal equations of the model as it was rendered.
     pub(crate) fn normal(&mut self, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
-        self.scores = None;
+        self.recycle();
         self.derive(scene, |sums, part| {
             let [residuals, weights] = part.padded();
             let (count, rows) = (part.rows.len(), part.rows);
             sums.add(part.span, part.seen, rows, &residuals[..count], &weights[..count]);
         });
-        Normal { cost, squares, ..self.memory.sums.take(&self.patch.spans, scene.image, scene.layout) }
+        let Memory { patch, sums, .. } = &mut self.memory;
+        Normal { cost, squares, ..sums.take(&patch.spans, scene.image, scene.layout) }
     }
 
     /// The equations of `before` with the gradient of the model as it was rendered.
     pub(crate) fn gradient(&mut self, before: &Normal, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
+        self.recycle();
         let scores = self.scores(scene);
-        let mut sums = vec![[0.0; ROW]; self.patch.spans.len()];
-        for ((span, _), cell) in self.patch.cells.iter().zip(&scores.cells) {
+        let Patch { spans, cells, .. } = &self.memory.patch;
+        let mut sums = vec![[0.0; ROW]; spans.len()];
+        for ((span, _), cell) in cells.iter().zip(&scores.cells) {
             sums[*span].iter_mut().zip(cell).for_each(|(sum, value)| *sum += value);
         }
+        let equations = before.with_gradient(spans.iter().zip(&sums), scene.image, scene.layout);
         // Most are the last of their fit.
         self.scores = Some(scores);
-        let equations = before.with_gradient(self.patch.spans.iter().zip(&sums), scene.image, scene.layout);
         Normal { cost, squares, ..equations }
     }
 
     /// What the scatter of the residuals is judged by, of the model as it was rendered.
     fn scores(&mut self, scene: &Scene<'_>) -> Scores {
-        let mut scores = Scores::new(&self.patch, scene);
+        let (cells, coded) = (std::mem::take(&mut self.memory.cells), std::mem::take(&mut self.memory.coded));
+        let mut scores = Scores::new(&self.memory.patch, scene, cells, coded);
         self.derive(scene, |_, part| scores.add(part));
         scores
     }
@@ -409,32 +448,37 @@ impl Comparison {
     ) -> Scattered {
         let known = self.scores.take();
         let Scores { cells, mut slips, rows, colours, said, coded } = known.unwrap_or_else(|| self.scores(scene));
-        let Patch { spans, cells: places, squares: pixels, .. } = &self.patch;
+        let Memory { patch, squares, variances, .. } = &mut self.memory;
+        let Patch { spans, cells: places, squares: pixels, .. } = &*patch;
         let Scene { image, layout, .. } = *scene;
-        let mut squares = vec![[0.0; PADDED]; pixels.len()];
-        for cells in places.iter().zip(&cells).collect::<Vec<_>>().chunk_by(|a, b| a.0.0 == b.0.0) {
-            let span = cells[0].0.0;
+        squares.clear();
+        squares.resize(pixels.len(), [0.0; PADDED]);
+        let mut sums = cells.iter();
+        for places in places.chunk_by(|a, b| a.0 == b.0) {
+            let span = places[0].0;
             let map = influence(image, &spans[span], layout, of_shape, of_colours);
-            for ((_, square), sum) in cells {
+            for ((_, square), sum) in places.iter().zip(&mut sums) {
                 add_mapped(&mut squares[*square], sum, &map);
             }
             slips.map(span, &map);
         }
         slips.finish(image, layout);
-        let covariance = unpadded_square(&products(&squares));
-        let variances: Vec<_> = pixels.iter().map(|pixel| coder_variances(*pixel)).collect();
+        let covariance = unpadded_square(&products(squares));
+        variances.clear();
+        variances.extend(pixels.iter().map(|pixel| coder_variances(*pixel)));
         let of_cell = |((_, square), coded): (&(usize, usize), &[f32; 3])| -> f64 {
             coded.iter().zip(variances[*square]).map(|(coded, variance)| f64::from(*coded) * variance).sum()
         };
-        let coded: f64 = places.iter().zip(&coded).map(of_cell).sum();
-        let coded = if said > 0.0 { coded / said } else { 0.0 };
+        let coded_sum: f64 = places.iter().zip(&coded).map(of_cell).sum();
+        (self.memory.cells, self.memory.coded) = (cells, coded);
+        let coded = if said > 0.0 { coded_sum / said } else { 0.0 };
         Scattered { covariance, slips, rows, colours, coded }
     }
 
     /// Differences between the residuals of neighbouring pixels in a row of the background, in the first channel.
     pub(crate) fn differences(&self) -> Differences {
         let mut differences = Differences::default();
-        let Layer { x, y, .. } = &self.patch.pixels;
+        let Layer { x, y, .. } = &self.memory.patch.pixels;
         let residuals = self.memory.channels.first().map_or(&[][..], |compared| &compared.residuals);
         let near = self.memory.near.first().map_or(&[][..], |near| near);
         let pairs = x.windows(2).zip(y.windows(2)).zip(residuals.windows(2)).zip(near.windows(2));

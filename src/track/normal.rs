@@ -371,6 +371,9 @@ fn products<const N: usize, const FROM: usize, const FIRST: bool>(
 pub(crate) struct Sums {
     background: Block<OUTSIDE>,
     spans: Vec<SpanSums>,
+    /// What belongs to the same colours: at each ring, and in each segment.
+    at_rings: Vec<Own<ROW>>,
+    plains: Vec<Own<PLAIN>>,
 }
 
 #[derive(Default)]
@@ -409,9 +412,12 @@ impl Sums {
         let rings = layout.rings_m.len();
         let elements = |ring: usize| std::array::from_fn(|i| colour(i, ring, layout));
         let of_rings: Vec<[Option<usize>; ROW]> = (0..=rings).map(elements).collect();
-        let mut at_rings = vec![[[0.0; ROW]; ROW]; rings];
-        let mut plains = vec![[[0.0; PLAIN]; PLAIN]; rings + 1];
-        for (SpanSums { plain, at_ring }, span) in self.spans.iter_mut().zip(spans) {
+        let Self { background, spans: sums, at_rings, plains } = self;
+        at_rings.clear();
+        at_rings.resize(rings, [[0.0; ROW]; ROW]);
+        plains.clear();
+        plains.resize(rings + 1, [[0.0; PLAIN]; PLAIN]);
+        for (SpanSums { plain, at_ring }, span) in sums.iter_mut().zip(spans) {
             let moves = moves(image, span.knot);
             if let Some(block) = at_ring.as_mut().filter(|block| block.used) {
                 map(&mut mapped, block, MOVES, &moves, &of_rings[span.ring]);
@@ -429,13 +435,13 @@ impl Sums {
         let mut all = DMatrix::zeros(colours, colours);
         at_rings.iter().zip(&of_rings).for_each(|(sum, own)| spread(sum, own, &mut all));
         plains.iter().zip(&of_rings).for_each(|(sum, own)| spread(sum, own, &mut all));
-        if self.background.used {
+        if background.used {
             let own = std::array::from_fn(|i| of_rings[0][i].filter(|_| (ROW_BACKGROUND..ROW_SHADING).contains(&i)));
-            map(&mut mapped, &self.background, [], &Default::default(), &own);
+            map(&mut mapped, background, [], &Default::default(), &own);
             let mut sum = [[0.0; OUTSIDE]; OUTSIDE];
-            add(&mut sum, &self.background);
+            add(&mut sum, background);
             spread(&sum, &own, &mut all);
-            self.background.clear();
+            background.clear();
         }
 
         let Mapped { shape, shape_gradient, cross, colour_gradient } = mapped;

@@ -9,7 +9,7 @@ use crate::track::appearance::{BACKGROUND, CAP, FIXED, Layout, PER_SEGMENT};
 use crate::track::light::Encoding;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::Span;
-use crate::track::places::{Density, Field, NONE, Place, Spans};
+use crate::track::places::{Density, Field, NONE, Place, Places, Spans};
 use crate::track::tube_image::TubeImage;
 use nalgebra::{Vector2, Vector3};
 use std::ops::Range;
@@ -54,6 +54,9 @@ pub(crate) struct Layer {
     /// Cells of correlated errors.
     pub cells: Vec<u32>,
     pub strips: Vec<Strip>,
+    /// Column and row of each in its plane, and the index of its pixel, the central one of a neighbourhood.
+    at: Vec<[usize; 2]>,
+    central: Vec<usize>,
     /// Variance of the samples' neighbourhoods along x and y, px².
     pub spread_px2: Vector2<f64>,
     /// Neighbourhoods of the samples, one after another: pixels and weights. None if each pixel has its own sample.
@@ -63,21 +66,80 @@ pub(crate) struct Layer {
 }
 
 impl Layer {
-    /// That of the pixels, still without channels; their cells are `cells`.
-    fn of_pixels(places: &[Place], field: &Field, middle: &Vector2<f64>, cells: Vec<u32>) -> Self {
-        let from_middle = |axis: usize| {
+    /// Takes pixels, still without channels and cells.
+    fn take_pixels(&mut self, places: &[Place], field: &Field, middle: &Vector2<f64>) {
+        for (axis, to) in [&mut self.x, &mut self.y].into_iter().enumerate() {
             let (corner, middle) = (field.corner[axis], middle[axis]);
-            places.iter().map(|place| ((corner + i64::from(place.at[axis])) as f64 - middle) as f32).collect()
-        };
-        Self {
-            x: from_middle(0),
-            y: from_middle(1),
-            f: places.iter().map(|place| place.f).collect(),
-            outside: places.iter().map(|place| place.outside).collect(),
-            cells,
-            strips: strips(places.iter()),
-            ..Self::default()
+            refill(to, places.iter().map(|place| ((corner + i64::from(place.at[axis])) as f64 - middle) as f32));
         }
+        refill(&mut self.f, places.iter().map(|place| place.f));
+        refill(&mut self.outside, places.iter().map(|place| place.outside));
+        refill(&mut self.at, places.iter().map(|place| field.pixel(place).map(|v| v as usize)));
+        take_strips(&mut self.strips, places.iter());
+        self.channels.clear();
+        self.spread_px2 = Vector2::zeros();
+    }
+
+    /// Takes the samples of subsampled channels whose neighbourhoods are used, in the order of their central pixels,
+    /// still without channels.
+    fn take_samples(&mut self, plane: &Plane<'_>, chroma_offset_px: [f64; 2], of: &Selected<'_>) {
+        let Selected { pixels, middle, places, field, density } = of;
+        let [sx, sy] = plane.scale.map(i64::from);
+        let all = neighbourhoods(plane, chroma_offset_px, *density, field);
+        let Self { at, central, taps, ends, .. } = self;
+        at.clear();
+        central.clear();
+        taps.clear();
+        ends.clear();
+        for (pixel, place) in places.iter().enumerate() {
+            let (here, [x, y]) = (field.index_of(place), field.pixel(place));
+            for neighbourhood in &all {
+                // Scales are powers of two. (What has this used pixel as its centre has the neighbourhood's phase.)
+                let (left, top) = (x - neighbourhood.central[0], y - neighbourhood.central[1]);
+                if (left & (sx - 1)) != 0 || (top & (sy - 1)) != 0 || left < 0 || top < 0 {
+                    continue;
+                }
+                let [i, j] = [left / sx, top / sy].map(|v| v as usize);
+                if i >= plane.width || j >= plane.height {
+                    continue;
+                }
+                let first = taps.len();
+                taps.extend(neighbourhood.taps.iter().map(|&(by, weight)| (field.used(here, by), weight)));
+                if taps[first..].iter().any(|tap| tap.0 == NONE) {
+                    taps.truncate(first);
+                    continue;
+                }
+                ends.push(taps.len() as u32);
+                central.push(pixel);
+                at.push([i, j]);
+            }
+        }
+        for (axis, to) in [&mut self.x, &mut self.y].into_iter().enumerate() {
+            let scale = f64::from(plane.scale[axis]);
+            let off = if scale > 1.0 { plane.offset[axis] + chroma_offset_px[axis] } else { 0.0 };
+            refill(to, at.iter().map(|at| (at[axis] as f64 * scale + off - middle[axis]) as f32));
+        }
+        let of_pixels = || central.iter().copied();
+        refill(&mut self.f, of_pixels().map(|pixel| pixels.f[pixel]));
+        refill(&mut self.outside, of_pixels().map(|pixel| pixels.outside[pixel]));
+        refill(&mut self.cells, of_pixels().map(|pixel| pixels.cells[pixel]));
+        take_strips(&mut self.strips, of_pixels().map(|pixel| &places[pixel]));
+        let spread = |scale: i64| if scale > 1 { (scale * scale) as f64 / 6.0 } else { 0.0 };
+        self.spread_px2 = Vector2::new(spread(sx), spread(sy));
+    }
+
+    /// Takes channels and their stored values at its points; `None` when there is no such data.
+    fn take_channels(&mut self, channels: impl Iterator<Item = Channel>, planes: &[Plane<'_>]) -> Option<()> {
+        refill(&mut self.channels, channels);
+        self.stored.resize_with(planes.len(), Vec::new);
+        for (values, plane) in self.stored.iter_mut().zip(planes) {
+            values.clear();
+            values.reserve(self.at.len());
+            for [column, row] in &self.at {
+                values.push(f32::from(*plane.data.get(row * plane.stride + column * plane.step)?));
+            }
+        }
+        Some(())
     }
 
     /// Whether each pixel has its own sample.
@@ -97,7 +159,30 @@ impl Layer {
     }
 }
 
-/// The part of a view's picture around a stretch of tube.
+/// Takes other elements into the same memory.
+fn refill<T>(list: &mut Vec<T>, with: impl Iterator<Item = T>) {
+    list.clear();
+    list.extend(with);
+}
+
+/// A stretch of tube in a view: its image, and between which arc lengths it is shown.
+pub(crate) struct Shown<'a> {
+    pub image: &'a TubeImage,
+    pub layout: &'a Layout,
+    pub range_m: (f64, f64),
+}
+
+/// The pixels that were selected.
+struct Selected<'a> {
+    pixels: &'a Layer,
+    middle: Vector2<f64>,
+    places: &'a [Place],
+    field: &'a Field,
+    density: Density,
+}
+
+/// The part of a view's picture around a stretch of tube. Its memory is used again for other ones.
+#[derive(Default)]
 pub(crate) struct Patch {
     pub middle: Vector2<f64>,
     pub spans: Vec<Span>,
@@ -111,11 +196,15 @@ pub(crate) struct Patch {
     pub squares: Vec<[u32; 2]>,
     /// The two channels whose colours are furthest from each other: red and blue, or what is stored of them.
     pub colour_channels: [u8; 2],
+    field: Field,
+    places: Places,
+    /// The last cell in each square of the field.
+    last: Vec<u32>,
 }
 
-/// The strips of places ordered by spans.
-fn strips<'a>(places: impl Iterator<Item = &'a Place>) -> Vec<Strip> {
-    let mut strips: Vec<Strip> = Vec::new();
+/// Takes the strips of places ordered by spans.
+fn take_strips<'a>(strips: &mut Vec<Strip>, places: impl Iterator<Item = &'a Place>) {
+    strips.clear();
     for (i, place) in places.enumerate() {
         let span = place.span as usize;
         match strips.last_mut() {
@@ -123,7 +212,6 @@ fn strips<'a>(places: impl Iterator<Item = &'a Place>) -> Vec<Strip> {
             _ => strips.push(Strip { span, points: i..i + 1 }),
         }
     }
-    strips
 }
 
 /// The pixels that make up a sample of a subsampled channel.
@@ -170,125 +258,85 @@ impl Patch {
         [&self.pixels].into_iter().chain(&self.samples)
     }
 
-    /// Selects the samples on the tube, and up to `margin_px` beside it, between the arc lengths `range_m`.
+    /// Selects the samples on the tube, and up to `margin_px` beside it.
     ///
     /// # Errors
     /// When no part of it lies in the picture, or not all of it was recorded.
     pub(crate) fn select(
+        &mut self,
         picture: &Picture,
-        image: &TubeImage,
-        layout: &Layout,
-        range_m: (f64, f64),
+        shown: &Shown<'_>,
         chroma_offset_px: [f64; 2],
         density: Density,
         margin_px: f64,
-    ) -> Result<Self, NoFit> {
+    ) -> Result<(), NoFit> {
+        let Shown { image, layout, range_m } = *shown;
         let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
-        let (mut field, middle) =
-            Field::around(image, range, picture.size_px(), margin_px).ok_or(NoFit::OutOfPicture)?;
-        picture.declare_read(field.window()).map_err(|_| NoFit::NotRecorded)?;
+        let middle = self.field.surround(image, range, picture.size_px(), margin_px).ok_or(NoFit::OutOfPicture)?;
+        picture.declare_read(self.field.window()).map_err(|_| NoFit::NotRecorded)?;
         let spans = Spans::new(image, layout);
-        let places = spans.places(&field, range, density);
-        field.number(&places);
-        let across = field.width / CELL_PX + 1;
-        let all_squares = across * (field.height / CELL_PX + 1);
-        let (cells, squares, of_places) = cells(&places, across, all_squares);
-        let squares = squares.iter().map(|place| field.pixel(place).map(|v| v as u32)).collect();
-        let mut patch = Self {
-            middle,
-            spans: spans.list,
-            pixels: Layer::of_pixels(&places, &field, &middle, of_places),
-            samples: Vec::new(),
-            cells,
-            squares,
-            colour_channels: if picture.format().is_yuv() { [1, 2] } else { [0, 2] },
-        };
+        spans.find(&self.field, range, density, &mut self.places);
+        self.field.number(&self.places.list);
+        (self.middle, self.spans) = (middle, spans.list);
+        self.pixels.take_pixels(&self.places.list, &self.field, &middle);
+        self.divide();
+        self.colour_channels = if picture.format().is_yuv() { [1, 2] } else { [0, 2] };
+        let Self { pixels, samples, places, field, .. } = self;
         let channels: Vec<usize> = (0..picture.format().channels()).collect();
+        let mut subsampled = 0;
         // Channels with the same sampling form a layer.
         let scale = |c: &usize| picture.plane(*c).map(|plane| plane.scale);
         for alike in channels.chunk_by(|a, b| scale(a) == scale(b)) {
             let planes = alike.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>();
             let planes = planes.ok_or(NoFit::OutOfPicture)?;
-            let whole = planes[0].scale == [1, 1];
             let channel = |&number: &usize| {
                 let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), number);
                 Channel { number: number as u8, weights: weights.map(|w| w as f32), constant: constant as f32 }
             };
-            let channels = alike.iter().map(channel);
-            if whole {
-                patch.pixels.channels.extend(channels);
-                let at = places.iter().map(|place| field.pixel(place).map(|v| v as usize));
-                patch.pixels.stored.extend(stored(&planes, at).ok_or(NoFit::OutOfPicture)?);
+            let layer = if planes[0].scale == [1, 1] {
+                &mut *pixels
             } else {
-                let channels = channels.collect();
-                let layer = patch.subsampled(channels, &planes, chroma_offset_px, &places, &field, density);
-                patch.samples.push(layer.ok_or(NoFit::OutOfPicture)?);
-            }
+                if subsampled == samples.len() {
+                    samples.push(Layer::default());
+                }
+                let layer = &mut samples[subsampled];
+                subsampled += 1;
+                layer.take_samples(
+                    &planes[0],
+                    chroma_offset_px,
+                    &Selected { pixels, middle, places: &places.list, field, density },
+                );
+                layer
+            };
+            layer.take_channels(alike.iter().map(channel), &planes).ok_or(NoFit::OutOfPicture)?;
         }
-        Ok(patch)
+        samples.truncate(subsampled);
+        Ok(())
     }
 
-    /// The samples of subsampled channels whose neighbourhoods are used, in the order of their central pixels; `None`
-    /// when one is outside the planes.
-    fn subsampled(
-        &self,
-        channels: Vec<Channel>,
-        planes: &[Plane<'_>],
-        chroma_offset_px: [f64; 2],
-        places: &[Place],
-        field: &Field,
-        density: Density,
-    ) -> Option<Layer> {
-        let plane = planes.first()?;
-        let [sx, sy] = plane.scale.map(i64::from);
-        let all = neighbourhoods(plane, chroma_offset_px, density, field);
-        // As many as there are, but for those deep inside a wide tube.
-        let samples = places.len() * density.period() as usize / (sx * sy) as usize;
-        let (mut at, mut central) = (Vec::with_capacity(samples), Vec::with_capacity(samples));
-        let mut ends = Vec::with_capacity(samples);
-        let mut taps = Vec::with_capacity(samples * all.iter().map(|n| n.taps.len()).max().unwrap_or(0));
-        for (pixel, place) in places.iter().enumerate() {
-            let (here, [x, y]) = (field.index_of(place), field.pixel(place));
-            for neighbourhood in &all {
-                // Scales are powers of two. (What has this used pixel as its centre has the neighbourhood's phase.)
-                let (left, top) = (x - neighbourhood.central[0], y - neighbourhood.central[1]);
-                if (left & (sx - 1)) != 0 || (top & (sy - 1)) != 0 || left < 0 || top < 0 {
-                    continue;
+    /// Divides the pixels into cells.
+    fn divide(&mut self) {
+        let Self { pixels, cells, squares, field, places, last, .. } = self;
+        let across = field.width / CELL_PX + 1;
+        last.clear();
+        last.resize(across * (field.height / CELL_PX + 1), NONE);
+        cells.clear();
+        squares.clear();
+        let of = |place: &Place| {
+            let [column, row] = place.at.map(|v| v as usize);
+            let last = &mut last[row / CELL_PX * across + column / CELL_PX];
+            let (span, known) = (place.span as usize, cells.get(*last as usize).copied());
+            if known.is_none_or(|(of, _)| of != span) {
+                let square = known.map_or(squares.len(), |(_, square)| square);
+                if square == squares.len() {
+                    squares.push(field.pixel(place).map(|v| v as u32));
                 }
-                let [i, j] = [left / sx, top / sy].map(|v| v as usize);
-                if i >= plane.width || j >= plane.height {
-                    continue;
-                }
-                let first = taps.len();
-                taps.extend(neighbourhood.taps.iter().map(|&(by, weight)| (field.used(here, by), weight)));
-                if taps[first..].iter().any(|tap| tap.0 == NONE) {
-                    taps.truncate(first);
-                    continue;
-                }
-                ends.push(taps.len() as u32);
-                central.push(pixel);
-                at.push([i, j]);
+                *last = cells.len() as u32;
+                cells.push((span, square));
             }
-        }
-        let from_middle = |axis: usize| {
-            let scale = f64::from(plane.scale[axis]);
-            let off = if scale > 1.0 { plane.offset[axis] + chroma_offset_px[axis] } else { 0.0 };
-            at.iter().map(|at| (at[axis] as f64 * scale + off - self.middle[axis]) as f32).collect()
+            *last
         };
-        let spread = |scale: i64| if scale > 1 { (scale * scale) as f64 / 6.0 } else { 0.0 };
-        Some(Layer {
-            channels,
-            stored: stored(planes, at.iter().copied())?,
-            x: from_middle(0),
-            y: from_middle(1),
-            f: central.iter().map(|pixel| self.pixels.f[*pixel]).collect(),
-            outside: central.iter().map(|pixel| self.pixels.outside[*pixel]).collect(),
-            cells: central.iter().map(|pixel| self.pixels.cells[*pixel]).collect(),
-            strips: strips(central.iter().map(|pixel| &places[*pixel])),
-            spread_px2: Vector2::new(spread(sx), spread(sy)),
-            taps,
-            ends,
-        })
+        refill(&mut pixels.cells, places.list.iter().map(of));
     }
 
     /// Initial colours: means over pixels well inside each segment, and well outside the tube.
@@ -352,41 +400,4 @@ impl Patch {
         colours[CAP] = 1.0;
         Some(colours)
     }
-}
-
-/// Divides places into cells; returns these, a place in each of the squares they are in, and the cell of each place.
-/// `across` of `all_squares` are in a row.
-fn cells(places: &[Place], across: usize, all_squares: usize) -> (Vec<(usize, usize)>, Vec<Place>, Vec<u32>) {
-    let mut cells: Vec<(usize, usize)> = Vec::with_capacity(places.len() / CELL_PX);
-    // The last cell in each square.
-    let mut last = vec![NONE; all_squares];
-    let mut squares = Vec::with_capacity(places.len() / CELL_PX);
-    let of = |place: &Place| {
-        let [column, row] = place.at.map(|v| v as usize);
-        let last = &mut last[row / CELL_PX * across + column / CELL_PX];
-        let (span, known) = (place.span as usize, cells.get(*last as usize).copied());
-        if known.is_none_or(|(of, _)| of != span) {
-            let square = known.map_or(squares.len(), |(_, square)| square);
-            if square == squares.len() {
-                squares.push(*place);
-            }
-            *last = cells.len() as u32;
-            cells.push((span, square));
-        }
-        *last
-    };
-    let of_places = places.iter().map(of).collect();
-    (cells, squares, of_places)
-}
-
-/// Stored values of each of some planes at columns and rows within them; `None` when there is no such data.
-fn stored(planes: &[Plane<'_>], at: impl ExactSizeIterator<Item = [usize; 2]> + Clone) -> Option<Vec<Vec<f32>>> {
-    let of = |plane: &Plane<'_>| {
-        let mut values = Vec::with_capacity(at.len());
-        for [column, row] in at.clone() {
-            values.push(f32::from(*plane.data.get(row * plane.stride + column * plane.step)?));
-        }
-        Some(values)
-    };
-    planes.iter().map(of).collect()
 }

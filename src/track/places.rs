@@ -48,6 +48,7 @@ impl Density {
 }
 
 /// The bounding rectangle of a patch, and which of its pixels are used.
+#[derive(Default)]
 pub(crate) struct Field {
     /// Picture coordinates of its first pixel.
     pub corner: [i64; 2],
@@ -66,14 +67,15 @@ const BORDER: usize = 8;
 pub(crate) const NONE: u32 = u32::MAX;
 
 impl Field {
-    /// The field around the knots of `image` between the knot coordinates `first` and `last`; `None` when no part of it
-    /// lies in the picture.
-    pub(crate) fn around(
+    /// Takes the field around the knots of `image` between the knot coordinates `first` and `last`, still without
+    /// pixels in use; returns its middle, or `None` when no part of it lies in the picture.
+    pub(crate) fn surround(
+        &mut self,
         image: &TubeImage,
         (first, last): (f64, f64),
         [w, h]: [u32; 2],
         margin_px: f64,
-    ) -> Option<(Self, Vector2<f64>)> {
+    ) -> Option<Vector2<f64>> {
         let inside =
             image.knots.iter().enumerate().filter(|(i, _)| *i as f64 >= first - 1.0 && *i as f64 <= last + 1.0);
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
@@ -89,9 +91,11 @@ impl Field {
             return None;
         }
         let (width, height) = ((x1 - corner[0] + 1) as usize, (y1 - corner[1] + 1) as usize);
-        let stride = width + 2 * BORDER;
-        let index = vec![NONE; stride * (height + 2 * BORDER)];
-        Some((Self { corner, width, height, margin_px, index, stride }, (low + high) / 2.0))
+        let (stride, mut index) = (width + 2 * BORDER, std::mem::take(&mut self.index));
+        index.clear();
+        index.resize(stride * (height + 2 * BORDER), NONE);
+        *self = Self { corner, width, height, margin_px, index, stride };
+        Some((low + high) / 2.0)
     }
 
     /// Its pixels.
@@ -145,6 +149,15 @@ pub(crate) struct Place {
     pub outside: f32,
 }
 
+/// The pixels that are used. Their memory is used again.
+#[derive(Default)]
+pub(crate) struct Places {
+    pub list: Vec<Place>,
+    found: Found,
+    /// Where each group ends.
+    ends: Vec<usize>,
+}
+
 /// The spans of a tube's image.
 pub(crate) struct Spans<'a> {
     image: &'a TubeImage,
@@ -171,14 +184,11 @@ impl<'a> Spans<'a> {
         Self { image, layout, list, behind }
     }
 
-    /// The pixels of a field within the margin of the tube between two knot coordinates: by spans, then by what they
-    /// see, within each in the order of the picture.
-    pub(crate) fn places(&self, field: &Field, range: (f64, f64), density: Density) -> Vec<Place> {
-        let mut places = Vec::with_capacity(field.width * field.height / 2);
-        // A piece's share of the field, and as much again where it is at an angle.
-        let pixels = 2 * field.width * field.height / self.behind.len().max(1) / density.period() as usize;
-        let mut found = Found::with_capacity(pixels);
-        let mut ends = Vec::new();
+    /// Takes the pixels of a field within the margin of the tube between two knot coordinates: by spans, then by what
+    /// they see, within each in the order of the picture.
+    pub(crate) fn find(&self, field: &Field, range: (f64, f64), density: Density, places: &mut Places) {
+        let Places { list: places, found, ends } = places;
+        places.clear();
         let last = (range.1.ceil() as usize).min(self.behind.len());
         for (knot, (first_span, last_span)) in self.behind.iter().enumerate().take(last).skip(range.0 as usize) {
             found.search(field, self.image, knot, density);
@@ -212,7 +222,7 @@ impl<'a> Spans<'a> {
             }
             // Counting sort.
             let mut end = places.len();
-            for count in &mut ends {
+            for count in &mut *ends {
                 end += *count;
                 *count = end - *count;
             }
@@ -223,7 +233,6 @@ impl<'a> Spans<'a> {
                 *next += 1;
             }
         }
-        places
     }
 }
 
@@ -240,6 +249,7 @@ fn sight(from_ring_px: f64, outside: f32) -> usize {
 }
 
 /// The pixels around the axis between two knots.
+#[derive(Default)]
 struct Found {
     /// Column and row in the field, and position relative to the first knot.
     at: Vec<[u32; 2]>,
@@ -253,11 +263,6 @@ struct Found {
 }
 
 impl Found {
-    fn with_capacity(pixels: usize) -> Self {
-        let [x, y, f, outside] = std::array::from_fn(|_| Vec::with_capacity(pixels));
-        Self { at: Vec::with_capacity(pixels), x, y, f, outside, list: Vec::with_capacity(pixels) }
-    }
-
     /// Takes the pixels between the lines across the tube at a knot and at the next, and some more beside the margin.
     /// Each pixel lies between one pair of such lines.
     fn search(&mut self, field: &Field, image: &TubeImage, knot: usize, density: Density) {
@@ -375,6 +380,18 @@ mod tests {
 
     const MARGIN_PX: f64 = 4.0;
 
+    fn around(image: &TubeImage, range: (f64, f64)) -> Field {
+        let mut field = Field::default();
+        field.surround(image, range, [320, 160], MARGIN_PX).unwrap();
+        field
+    }
+
+    fn found(spans: &Spans<'_>, field: &Field, range: (f64, f64), density: Density) -> Vec<Place> {
+        let mut places = Places::default();
+        spans.find(field, range, density, &mut places);
+        places.list
+    }
+
     /// Distance of a pixel from the outline, and the knot coordinate of the nearest point of the axis, by trial.
     fn nearest(image: &TubeImage, pixel: Point2<f64>) -> (f64, f64) {
         const STEPS: usize = 200;
@@ -395,10 +412,10 @@ mod tests {
         let shape = TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.1, 1.0, 0.05), 6e-3);
         let image = TubeImage::of(&shape, 6e-3, &views()[0], (-30e-3, 30e-3), 3e-3, None, None).unwrap();
         let range = (1.0, image.knots.len() as f64 - 2.0);
-        let (field, _) = Field::around(&image, range, [320, 160], MARGIN_PX).unwrap();
+        let field = around(&image, range);
         let spans = Spans::new(&image, &layout);
-        let places = spans.places(&field, range, Density::All);
-        let found: std::collections::BTreeSet<_> = places.iter().map(|place| field.pixel(place)).collect();
+        let places = found(&spans, &field, range, Density::All);
+        let used: std::collections::BTreeSet<_> = places.iter().map(|place| field.pixel(place)).collect();
         let (mut kept, mut inside) = (0, 0);
         for at in (0..160).flat_map(|y| (0..320).map(move |x| [x, y])) {
             let (outside, knot) = nearest(&image, Point2::new(at[0] as f64, at[1] as f64));
@@ -406,10 +423,10 @@ mod tests {
             let knots = &image.knots[knot as usize];
             let from_ring = (image.arc_m(knot) * knots.scale).abs() - knots.bulge.abs();
             if in_range && (outside > 0.1 - INSIDE_PX || from_ring < INSIDE_PX - 1.0) {
-                assert!(found.contains(&at), "{at:?}, {outside} px outside, {from_ring} px from the ring");
+                assert!(used.contains(&at), "{at:?}, {outside} px outside, {from_ring} px from the ring");
                 kept += 1;
             } else if in_range && outside < -0.1 - INSIDE_PX && from_ring > INSIDE_PX + 1.0 {
-                assert_eq!(found.contains(&at), Density::Fifth.phase(at[0], at[1]) == 0, "{at:?}");
+                assert_eq!(used.contains(&at), Density::Fifth.phase(at[0], at[1]) == 0, "{at:?}");
                 inside += 1;
             }
         }
@@ -434,17 +451,17 @@ mod tests {
             }
             compared += 1;
             let range = (1.3, image.knots.len() as f64 - 2.6);
-            let (field, _) = Field::around(&image, range, [320, 160], MARGIN_PX).unwrap();
+            let field = around(&image, range);
             let spans = Spans::new(&image, &layout);
-            let places = spans.places(&field, range, Density::All);
+            let places = found(&spans, &field, range, Density::All);
             assert!(places.is_sorted_by_key(|place| place.span));
-            let found: BTreeMap<_, _> = places.iter().map(|place| (field.pixel(place), place)).collect();
-            assert_eq!(found.len(), places.len(), "a pixel is found twice");
+            let used: BTreeMap<_, _> = places.iter().map(|place| (field.pixel(place), place)).collect();
+            assert_eq!(used.len(), places.len(), "a pixel is found twice");
             let mut inside = 0;
             for at in (0..160).flat_map(|y| (0..320).map(move |x| [x, y])) {
                 let (outside, knot) = nearest(&image, Point2::new(at[0] as f64, at[1] as f64));
                 let within = (MARGIN_PX - outside).min(10.0 * (knot - range.0)).min(10.0 * (range.1 - knot));
-                match found.get(&at) {
+                match used.get(&at) {
                     Some(place) => {
                         assert!(within > -0.1, "{at:?} is {outside} px outside, at {knot}");
                         let of_place = spans.list[place.span as usize].knot as f64 + f64::from(place.f);
@@ -456,7 +473,7 @@ mod tests {
                 }
             }
             assert!(inside > 500, "{inside}");
-            let fifth = spans.places(&field, range, Density::Fifth);
+            let fifth = found(&spans, &field, range, Density::Fifth);
             let expected =
                 places.iter().map(|place| field.pixel(place)).filter(|[x, y]| Density::Fifth.phase(*x, *y) == 0);
             assert!(fifth.iter().map(|place| field.pixel(place)).eq(expected));

@@ -7,7 +7,7 @@ use crate::track::compare::{Comparison, Noise};
 use crate::track::image_model::{ImageModel, coder_variance};
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
-use crate::track::patch::Patch;
+use crate::track::patch::{Patch, Shown};
 use crate::track::places::Density;
 use crate::track::stretch::Stretch;
 use crate::track::tube_image::TubeImage;
@@ -73,13 +73,15 @@ impl View {
         known_colours: Option<Vec<f64>>,
     ) -> Result<Self, NoFit> {
         let offset_px = model.chroma_offset_px;
-        let patch = Patch::select(picture, image, &stretch.layout, range_m, offset_px, density, margin_px)?;
-        if picture.quantisation().is_some_and(|q| coded_variance(q, &patch) > COARSEST) {
+        let shown = Shown { image, layout: &stretch.layout, range_m };
+        let comparison = Comparison::select(picture, &shown, offset_px, density, margin_px)?;
+        let patch = comparison.patch();
+        if picture.quantisation().is_some_and(|q| coded_variance(q, patch) > COARSEST) {
             return Err(NoFit::TooCoarse);
         }
-        let shown = || patch.colours(picture, image, &stretch.layout, &model.encoding);
-        let expected_colours = known_colours.or_else(shown).ok_or(NoFit::OutOfPicture)?;
-        let (comparison, noise) = (Comparison::new(patch), start_noise(picture));
+        let looked_up = || patch.colours(picture, image, &stretch.layout, &model.encoding);
+        let expected_colours = known_colours.or_else(looked_up).ok_or(NoFit::OutOfPicture)?;
+        let noise = start_noise(picture);
         Ok(Self { comparison, expected_colours, noise, weighing, compared: false })
     }
 
