@@ -3,14 +3,15 @@
 //!
 //! Method. The residuals of the fit tell how far the chroma of the bands has slipped from their luma in each view
 //! (slip.rs). Over frames in which the coil moves by a few pixels, that slip is compared with the way since the last
-//! frame: what is in proportion to it, and against it, is a lag, in frames. The fit follows luma and chroma both: how
-//! its shape responds to chroma that lies behind by the lag times the way belongs into its covariance.
+//! frame: what is in proportion to it, and against it, is a lag, in frames. A slip that stays, another in each view, is
+//! none: the lens may show colours at different places. The fit follows luma and chroma both: how its shape responds to
+//! chroma that lies behind by the lag times the way belongs into its covariance.
 //!
 //! Cannot detect: a lag while nothing moves; any in pictures that have the same chroma and luma sampling, where a slip
 //! is not measured.
 
 use crate::track::slip::Seen;
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 
 /// Motion of the frames that count, pixels: of a shorter one noise is larger, of a longer one a band's chroma may lie
 /// beside it.
@@ -26,35 +27,69 @@ const CLEAR_SD: f64 = 6.0;
 /// Half-life of what was seen, frames.
 const FRAMES: f64 = 60.0;
 
-/// What pictures have shown so far: normal equations of the lag.
+/// What pictures have shown so far.
 #[derive(Debug, Default)]
 pub(crate) struct Lag {
-    information: f64,
-    pull: f64,
+    views: Vec<Slips>,
     seen: bool,
+}
+
+/// Normal equations of a view: of the slip that stays, of the lag, and of both.
+#[derive(Debug, Clone, Copy, Default)]
+struct Slips {
+    information: Matrix2<f64>,
+    pull: Vector2<f64>,
+    of_lag: f64,
+    pull_of_lag: f64,
+    both: Vector2<f64>,
+}
+
+impl Slips {
+    /// Information about the lag alone, and its pull; `None` where nothing is known of the slip.
+    fn lag(&self) -> Option<(f64, f64)> {
+        let stays = self.information.cholesky()?;
+        let both = stays.solve(&self.both);
+        Some((self.of_lag - self.both.dot(&both), self.pull_of_lag - both.dot(&self.pull)))
+    }
 }
 
 impl Lag {
     /// Begins a frame.
     pub(crate) fn fade(&mut self) {
         let by = 0.5_f64.powf(1.0 / FRAMES);
-        self.information *= by;
-        self.pull *= by;
+        for Slips { information, pull, of_lag, pull_of_lag, both } in &mut self.views {
+            *information *= by;
+            *pull *= by;
+            *of_lag *= by;
+            *pull_of_lag *= by;
+            *both *= by;
+        }
     }
 
-    /// Adds a view of the frame: the slip of its chroma, and how far its tube has moved since the last one, pixels.
-    pub(crate) fn add(&mut self, slip: &Seen, way_px: &Vector2<f64>) {
+    /// Adds the frame in a view: the slip of its chroma, and how far its tube has moved since the last one, pixels.
+    pub(crate) fn add(&mut self, view: usize, slip: &Seen, way_px: &Vector2<f64>) {
         if !MOTION_PX.contains(&way_px.norm()) {
             return;
         }
-        self.information += way_px.dot(&(slip.information * way_px));
-        self.pull -= way_px.dot(&slip.pull);
-        self.seen |= self.frames() > LEAST.max(CLEAR_SD * self.information.powf(-0.5));
+        if self.views.len() <= view {
+            self.views.resize_with(view + 1, Slips::default);
+        }
+        let Slips { information, pull, of_lag, pull_of_lag, both } = &mut self.views[view];
+        let told = slip.information * way_px;
+        *information += slip.information;
+        *pull += slip.pull;
+        *of_lag += way_px.dot(&told);
+        *pull_of_lag -= way_px.dot(&slip.pull);
+        *both -= told;
+        let (frames, information) = self.frames();
+        self.seen |= frames > LEAST.max(CLEAR_SD * information.powf(-0.5));
     }
 
-    /// By how much chroma seems to be late, frames.
-    fn frames(&self) -> f64 {
-        if self.information > 0.0 { self.pull / self.information } else { 0.0 }
+    /// By how much chroma seems to be late, frames, and the information about that.
+    fn frames(&self) -> (f64, f64) {
+        let known = self.views.iter().filter_map(Slips::lag);
+        let (information, pull) = known.fold((0.0, 0.0), |sum, view| (sum.0 + view.0, sum.1 + view.1));
+        if information > 0.0 { (pull / information, information) } else { (0.0, 0.0) }
     }
 
     /// Whether chroma was ever late.
@@ -64,7 +99,7 @@ impl Lag {
 
     /// How late chroma may be, frames.
     pub(crate) fn late(&self) -> f64 {
-        if self.seen { self.frames().max(0.0) / SEEN } else { 0.0 }
+        if self.seen { self.frames().0.max(0.0) / SEEN } else { 0.0 }
     }
 }
 
@@ -72,20 +107,20 @@ impl Lag {
 mod tests {
     use super::*;
     use crate::testing::random::Random;
-    use nalgebra::Matrix2;
 
-    /// Of a swing whose chroma slips by so much of each way, and by `own_px` besides, after so many frames.
-    fn seen(frames: u32, part: f64, way_px: f64, own_px: f64) -> Lag {
+    /// Of a swing whose chroma slips by so much of each way, and by `own_px` besides, the other way in the other view,
+    /// after so many frames.
+    fn seen(frames: u32, part: f64, way_px: f64, own_px: f64, per_frame: f64) -> Lag {
         const SD_PX: f64 = 0.1;
         let (mut lag, mut random) = (Lag::default(), Random::new(8));
         let information = Matrix2::new(1.0, 0.2, 0.2, 0.5) / SD_PX.powi(2);
         for k in 0..frames {
             lag.fade();
-            for view in [1.0, -0.8] {
-                let way = Vector2::new(view, 0.4) * (way_px * (f64::from(k) * 0.1).cos());
-                let slip = way * -part + Vector2::repeat(own_px);
+            for (view, to) in [1.0, -0.8].into_iter().enumerate() {
+                let way = Vector2::new(to, 0.4) * (way_px * (f64::from(k) * per_frame).cos());
+                let slip = way * -part + Vector2::repeat(own_px * to);
                 let noise = Vector2::new(random.normal(), random.normal()) / SD_PX;
-                lag.add(&Seen { information, pull: information * slip + noise, ..Seen::default() }, &way);
+                lag.add(view, &Seen { information, pull: information * slip + noise, ..Seen::default() }, &way);
             }
         }
         lag
@@ -94,18 +129,27 @@ mod tests {
     #[test]
     fn chroma_that_stays_behind_is_seen_with_its_lag() {
         for part in [0.15, 0.3, 0.8] {
-            let lag = seen(120, part, 2.0, 0.0);
+            let lag = seen(120, part, 2.0, 0.3, 0.1);
             assert!(lag.is_seen() && (lag.late() * SEEN - part).abs() < 0.05, "{part}: {lag:?}");
         }
     }
 
     #[test]
     fn other_slips_are_no_lag() {
-        for (part, way_px, own_px) in
-            [(0.0, 2.0, 0.0), (0.05, 3.0, 0.0), (-0.3, 2.0, 0.0), (0.3, 0.5, 0.0), (0.0, 2.0, 0.2)]
-        {
-            let lag = seen(600, part, way_px, own_px);
-            assert!(!lag.is_seen() && lag.late() == 0.0, "{part}, {way_px} px, {own_px} px: {lag:?}");
+        for (part, way_px, own_px) in [
+            (0.0, 2.0, 0.0),
+            (0.05, 3.0, 0.0),
+            (-0.3, 2.0, 0.0),
+            (0.3, 0.5, 0.0),
+            (0.0, 2.0, 0.2),
+            (0.0, 2.0, -1.0),
+            (0.0, 2.0, 1.0),
+        ] {
+            // Swings, and one long stroke.
+            for per_frame in [0.1, 0.002] {
+                let lag = seen(600, part, way_px, own_px, per_frame);
+                assert!(!lag.is_seen() && lag.late() == 0.0, "{part}, {way_px} px, {own_px} px: {lag:?}");
+            }
         }
     }
 }

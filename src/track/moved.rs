@@ -4,17 +4,23 @@
 //! Method. A line is fitted to the base band's positions over the direction of the coil, with which a band that is not
 //! quite at the clamp moves. The mean of its latest positions is compared with this line. Both have the same errors of
 //! rig and image model. By how much it is off is the error of all positions, if the rig still is where it was at first,
-//! and belongs into their covariance; the line stays as it is from then on.
+//! and belongs into their covariance; the line stays as it is as long as it is off. While the coil is not seen, its
+//! direction is any of those before.
 //!
 //! Cannot tell: moves before the run or that the base band does not see (the tally's drift alarms see some of them);
-//! which of both moments the rig is right for; a creep over all of a run, of which half is taken for rest.
+//! which of both moments the rig is right for; a creep over all of a run, of which half is taken for rest; all of a
+//! move among the first frames, to some of which the line is fitted; anything before the coil was seen for the first
+//! time.
 
 use crate::estimate::Position;
+use crate::source::Timestamp;
 use nalgebra::{Matrix3, Matrix4, Matrix4x3, Vector3, Vector4};
 use std::collections::VecDeque;
 
-/// Frames of the latest mean, and the fewest that the line is fitted to.
+/// Fewest frames of the latest mean, and the time that they must span, so that a vibration averages out, nanoseconds.
 const LATEST: usize = 15;
+const LATEST_NS: i64 = 200_000_000;
+/// The fewest frames that the line is fitted to.
 const MIN_FITTED: usize = 15;
 /// So many positions in a row may have the same error, where a coder leaves a band as it was.
 const ALIKE: f64 = 15.0;
@@ -36,15 +42,18 @@ pub(crate) struct Moved {
     right: Matrix4x3<f64>,
     fitted: usize,
     latest: VecDeque<Sample>,
-    /// Whether it has moved since it began.
+    /// How far it had moved when it began anew, metres.
+    before: Vector3<f64>,
+    /// Whether it is off the line.
     is_off: bool,
     seen: bool,
 }
 
-/// One position, from the first, with the direction of the coil, from the first, behind a 1.
+/// One position, from the first, with the direction of the coil, if it was seen, from the first, behind a 1.
 #[derive(Debug, Clone, Copy)]
 struct Sample {
-    by: Vector4<f64>,
+    ns: i64,
+    by: Option<Vector4<f64>>,
     position: Vector3<f64>,
     covariance: Matrix3<f64>,
 }
@@ -55,20 +64,27 @@ impl Moved {
         self.seen
     }
 
-    /// Begins anew.
+    /// Begins anew, because positions change by themselves. A move that was found stays.
     pub(crate) fn forget(&mut self) {
-        *self = Self { seen: self.seen, ..Self::default() };
+        let off = self.off().filter(|_| self.is_off).map_or_else(Vector3::zeros, |(off, _)| off);
+        *self = Self { before: self.before + off, seen: self.seen, ..Self::default() };
     }
 
-    /// Adds a position of the base band, with the direction of the coil.
-    pub(crate) fn add(&mut self, base: &Position, direction: &Vector3<f64>) {
-        let (place, turn) = *self.first.get_or_insert((base.point.coords, *direction));
-        let by = (direction - turn).insert_row(0, 1.0);
-        self.latest.push_back(Sample { by, position: base.point.coords - place, covariance: base.covariance });
-        if self.latest.len() > LATEST
-            && let Some(Sample { by, position, covariance }) = self.latest.pop_front()
-            && !self.is_off
+    /// Adds a position of the base band, with the direction of the coil, if it was seen.
+    pub(crate) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
+        let Some((place, turn)) = self.first.or_else(|| Some((base.point.coords, *direction?))) else { return };
+        self.first = Some((place, turn));
+        let by = direction.map(|direction| (direction - turn).insert_row(0, 1.0));
+        let position = base.point.coords - place;
+        self.latest.push_back(Sample { ns: stamp.ns, by, position, covariance: base.covariance });
+        // (A clock that is set back ends the mean, too.)
+        let is_long = |latest: &VecDeque<Sample>| {
+            latest.len() > LATEST && latest.get(1).is_some_and(|next| !(0..LATEST_NS).contains(&(stamp.ns - next.ns)))
+        };
+        while is_long(&self.latest)
+            && let Some(Sample { by, position, covariance, .. }) = self.latest.pop_front()
         {
+            let Some(by) = by.filter(|_| !self.is_off) else { continue };
             let weight = 3.0 / covariance.trace() / ALIKE;
             self.normal += by * by.transpose() * weight;
             self.right += by * position.transpose() * weight;
@@ -78,11 +94,13 @@ impl Moved {
 
     /// The covariance of the move, m²; zero if there is none.
     pub(crate) fn covariance(&mut self) -> Matrix3<f64> {
-        let Some((off, chi2)) = self.off() else { return Matrix3::zeros() };
-        if chi2 < if self.is_off { BACK_CHI2 } else { MIN_CHI2 } {
-            return Matrix3::zeros();
+        let (mut off, chi2) = self.off().unwrap_or_default();
+        self.is_off = chi2 > if self.is_off { BACK_CHI2 } else { MIN_CHI2 };
+        self.seen |= self.is_off;
+        if !self.is_off {
+            off = Vector3::zeros();
         }
-        (self.is_off, self.seen) = (true, true);
+        off += self.before;
         off * off.transpose()
     }
 
@@ -92,14 +110,23 @@ impl Moved {
         if self.latest.len() < LATEST || self.fitted < MIN_FITTED {
             return None;
         }
-        let count = LATEST as f64;
-        let by = self.latest.iter().map(|sample| sample.by).sum::<Vector4<f64>>() / count;
-        let position = self.latest.iter().map(|sample| sample.position).sum::<Vector3<f64>>() / count;
-        let own = self.latest.iter().map(|sample| sample.covariance).sum::<Matrix3<f64>>() / count;
+        let count = self.latest.len() as f64;
         let known = self.normal + Matrix4::from_diagonal(&Vector3::repeat(BENT_M.powi(-2)).insert_row(0, 0.0));
         let inverse = known.cholesky()?.inverse();
-        let off = position - (inverse * self.right).tr_mul(&by);
-        let variance = own + Matrix3::from_diagonal_element((by.transpose() * inverse * by)[0]);
+        let line = inverse * self.right;
+        let usual = self.normal.column(0) / self.normal.m11;
+        let by = self.latest.iter().map(|sample| sample.by.unwrap_or(usual)).sum::<Vector4<f64>>() / count;
+        let position = self.latest.iter().map(|sample| sample.position).sum::<Vector3<f64>>() / count;
+        let own = self.latest.iter().map(|sample| sample.covariance).sum::<Matrix3<f64>>() / count;
+        let mut variance = own + Matrix3::from_diagonal_element((by.transpose() * inverse * by)[0]);
+        let hidden = self.latest.iter().filter(|sample| sample.by.is_none()).count() as f64 / count;
+        if hidden > 0.0 {
+            // Of unknown directions, as they scattered so far.
+            let scatter = self.normal / self.normal.m11 - usual * usual.transpose();
+            let bent = line.tr_mul(&(scatter * line)) + Matrix3::from_diagonal_element((inverse * scatter).trace());
+            variance += bent * hidden;
+        }
+        let off = position - line.tr_mul(&by);
         Some((off, off.dot(&variance.cholesky()?.solve(&off))))
     }
 }
@@ -107,8 +134,10 @@ impl Moved {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::source::Clock;
     use crate::testing::random::Random;
     use nalgebra::Point3;
+    use std::ops::Range;
 
     const SD_M: f64 = 3e-5;
 
@@ -120,16 +149,30 @@ mod tests {
     /// The covariances that a base adds which is where this tells, by frame, and whether it is seen to move; the coil
     /// swings by half a radian.
     fn follow(frames: usize, at: impl Fn(usize) -> Vector3<f64>) -> (Vec<Matrix3<f64>>, bool) {
+        follow_hidden(frames, 0..0, at)
+    }
+
+    /// The same with the coil hidden in some frames.
+    fn follow_hidden(
+        frames: usize,
+        hidden: Range<usize>,
+        at: impl Fn(usize) -> Vector3<f64>,
+    ) -> (Vec<Matrix3<f64>>, bool) {
         let (mut moved, mut random) = (Moved::default(), Random::new(5));
         let frame = |k: usize| {
             let error = Vector3::from_fn(|_, _| SD_M * random.normal());
             let point = Point3::new(0.1, 0.2, 1.4) + at(k) + error;
             let base = base(point);
             let (sin, cos) = swing(k).sin_cos();
-            moved.add(&base, &Vector3::new(sin, cos, 0.0));
+            let direction = Vector3::new(sin, cos, 0.0);
+            moved.add(stamp(k), &base, (!hidden.contains(&k)).then_some(&direction));
             moved.covariance()
         };
         ((0..frames).map(frame).collect(), moved.is_seen())
+    }
+
+    fn stamp(k: usize) -> Timestamp {
+        Timestamp { ns: k as i64 * 16_666_667, clock: Clock::Container }
     }
 
     fn swing(k: usize) -> f64 {
@@ -159,12 +202,44 @@ mod tests {
     }
 
     #[test]
+    fn a_hidden_coil_hides_no_knock() {
+        let to = Vector3::new(1e-4, -2e-4, 0.0);
+        let (knocked, seen) = follow_hidden(200, 70..200, |k| if k < 100 { Vector3::zeros() } else { to });
+        let last = knocked[199];
+        assert!(seen && (last - to * to.transpose()).norm() < 0.3 * to.norm_squared(), "{last}");
+        // It may have bent the base: to where it was before.
+        let (bent, seen) = follow_hidden(200, 70..200, |k| Vector3::x() * 1e-3 * swing(if k < 70 { k } else { 47 }));
+        assert!(!seen && bent.iter().all(|covariance| covariance.trace() == 0.0));
+    }
+
+    #[test]
+    fn a_band_that_is_back_adds_nothing_and_is_compared_as_before() {
+        let jumps = |k: usize| Vector3::x() * if (100..140).contains(&k) { 3e-4 } else { 0.0 };
+        let (knocked, seen) = follow(2000, jumps);
+        assert!(seen && knocked[139].trace() > 5e-8 && knocked[160..].iter().all(|added| added.trace() == 0.0));
+    }
+
+    #[test]
     fn it_begins_anew_when_positions_change_by_themselves() {
-        let mut moved = Moved::default();
-        let at = |x: f64| base(Point3::new(x, 0.0, 1.4));
-        (0..60).for_each(|_| moved.add(&at(0.0), &Vector3::y()));
+        let (mut moved, mut frame) = (Moved::default(), 0);
+        let mut stay = |moved: &mut Moved, x: f64| {
+            let mut added = 0.0;
+            for _ in 0..60 {
+                moved.add(stamp(frame), &base(Point3::new(x, 0.0, 1.4)), Some(&Vector3::y()));
+                added = moved.covariance().trace();
+                frame += 1;
+            }
+            added
+        };
+        assert_eq!(stay(&mut moved, 0.0), 0.0);
         moved.forget();
-        (0..60).for_each(|_| moved.add(&at(1e-3), &Vector3::y()));
-        assert!(moved.covariance().trace() == 0.0 && !moved.is_seen());
+        assert_eq!(stay(&mut moved, 1e-3), 0.0);
+        assert!(!moved.is_seen());
+        // A move that was found is not forgotten, nor one back after that.
+        let off = |variance: f64| (variance.sqrt() - 2e-3).abs() < 1e-6;
+        assert!(off(stay(&mut moved, 3e-3)));
+        moved.forget();
+        assert!(off(moved.covariance().trace()) && off(stay(&mut moved, 4e-3)));
+        assert!(stay(&mut moved, 2e-3) < 1e-12);
     }
 }

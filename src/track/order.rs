@@ -5,8 +5,9 @@
 //! smaller, and noise is not the reason, the order is wrong. A vibration is no such case: of no frequency, on top of an
 //! even motion, does an exchange lower the sum of their squares to less than a sixth.
 //!
-//! Cannot detect: exchanges in which nothing moves, of pictures that are not neighbours, and less than five pictures
-//! from a lost one or a band that was not seen.
+//! Cannot detect: exchanges in which nothing moves, of pictures that are not neighbours, of all pictures by twos, and
+//! less than ten pictures from another exchange, or five from a lost one or a band that was not seen; and any where the
+//! stamps are uneven.
 
 use crate::estimate::Estimate;
 use crate::track::motion::Place;

@@ -100,6 +100,8 @@ pub struct Tracker {
     rolling: Option<Rolling>,
     /// What was warned of.
     warned: Vec<&'static str>,
+    /// The last frame that was measured.
+    latest: Option<(u64, Timestamp)>,
     lamp: Option<Lamp>,
 }
 
@@ -137,6 +139,7 @@ impl Tracker {
             fringes: Fringes::default(),
             rolling: Rolling::of(rig),
             warned: Vec::new(),
+            latest: None,
             lamp: options.tick_led.map(Lamp::new),
             rig: rig.clone(),
         })
@@ -160,6 +163,7 @@ impl Tracker {
     /// Only the measurement, for which somebody may be waiting. What later frames need from it is to be learned before
     /// the next one.
     pub(crate) fn measure(&mut self, frame: &Frame) -> Result<(Estimate, Option<Measured>), TrackError> {
+        self.latest = Some((frame.seq, frame.stamp));
         let picture = &frame.picture;
         if picture.size_px() != self.rig.camera.size_px {
             return Err(TrackError::Size { found: picture.size_px(), expected: self.rig.camera.size_px });
@@ -240,8 +244,8 @@ impl Tracker {
         Ok((Ok(estimate), Some(Measured { found, fitted, moved_px })))
     }
 
-    /// What to warn of in the pictures, each once.
-    pub fn warning(&mut self) -> Option<&'static str> {
+    /// What to warn of in the pictures so far, each once.
+    pub fn warning(&mut self) -> Option<String> {
         let seen = [
             (self.pairs.are_alike(), PAIRED_CHROMA),
             (self.judge.views_disagree(), VIEWS_DISAGREE),
@@ -257,7 +261,10 @@ impl Tracker {
         ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
         self.warned.push(new);
-        Some(new)
+        let noticed = self
+            .latest
+            .map_or(String::new(), |(seq, stamp)| format!("noticed at frame {seq}, {} s: ", stamp.seconds()));
+        Some(noticed + new)
     }
 
     /// Errors of the image model common to all frames so far, of which `picture` is one. Noise tells nothing of what
@@ -320,10 +327,10 @@ impl Tracker {
         of_coil.views.iter().zip(&fit.views).for_each(|(v, view)| self.fringes.add(*v, &view.colour_shifts));
         let ways_px = self.ways_px(stamp, of_coil, fit)?;
         self.lag.fade();
-        for (view, way_px) in fit.views.iter().zip(&ways_px) {
+        for ((v, view), way_px) in of_coil.views.iter().zip(&fit.views).zip(&ways_px) {
             let [across, _] = view.image.at_arc(0.0).axes();
             self.fields.add(&view.rows, across.dot(way_px));
-            self.lag.add(&view.slip, way_px);
+            self.lag.add(*v, &view.slip, way_px);
         }
         Some(ways_px.iter().map(Vector2::norm).fold(0.0, f64::max))
     }
@@ -415,15 +422,15 @@ impl Tracker {
         let base = estimate.markers.first().map(|base| &base.position);
         if let (Some(Ok(base)), Some(_)) = (base, &self.rig.base) {
             self.shake.add(stamp, base.point.coords, &base.covariance);
-            if let Ok(tangent) = &estimate.tangent {
-                self.moved.add(base, &tangent.direction);
-            }
+            self.moved.add(stamp, base, estimate.tangent.as_ref().ok().map(|tangent| &tangent.direction));
         }
-        let shake = self.shake.at(stamp) + self.moved.covariance();
+        // A knock is both for half a second.
+        let (shake, moved) = (self.shake.at(stamp), self.moved.covariance());
+        let astray = if shake.trace() > moved.trace() { shake } else { moved };
         for (marker, scatter) in estimate.markers.iter_mut().zip(&mut self.scatter) {
             if let Ok(position) = &mut marker.position {
                 position.covariance *= scatter.add(stamp, position.point.coords, &position.covariance, persisting);
-                position.covariance += shake;
+                position.covariance += astray;
             }
         }
         if let (Ok(tangent), Some(scatter)) = (&mut estimate.tangent, self.scatter.last_mut()) {

@@ -24,8 +24,9 @@ pub(super) const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearl
 pub(super) const COLOURS_LAG: &str = "colours lag behind the brightness of what moves: earlier pictures were blended \
      into the chroma of these (noise reduction over time), so bands are measured too late; σ is widened by as much: \
      record without it";
-pub(super) const OUT_OF_ORDER: &str = "two pictures are in the wrong order, by the way the bands move: rows there are \
-     wrong, and σ does not cover that: restore the order, or leave these pictures out";
+pub(super) const OUT_OF_ORDER: &str = "two of the last ten pictures, or more, are in the wrong order, by the way the \
+     bands move: rows there are wrong, and σ does not cover that; only the first such place is named: restore the order, \
+     or leave these pictures out";
 pub(super) const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or \
      clamp vibrate, or the pictures were processed; σ of all positions is widened by as much";
 pub(super) const MOVED: &str = "the base band, which should rest, is not where it was in the first frames: camera, \
