@@ -115,15 +115,23 @@ impl Quantisation {
         let base = if kind == H264 { base.saturating_sub(6 * (bits - 8)) } else { base };
         let mut all = Self::of_level(level_of(base), [width, height]);
         let Self { columns, levels, .. } = &mut all;
+        // Neighbours often have the same quantiser.
+        let mut last = (0, level_of(base));
         for i in 0..count {
             let at = first.checked_add(i.checked_mul(length)?)?;
-            let [x, y, w, h] = [int(at)?, int(at + 4)?, int(at + 8)?, int(at + 12)?].map(|v| v.max(0).cast_unsigned());
-            let q = level_of(base.saturating_add(int(at + 16)?));
+            let block: &[_; 5] = data.get(at..)?.as_chunks().0.first_chunk()?;
+            let [x, y, w, h, beyond_base] = block.map(i32::from_ne_bytes);
+            let [x, y, w, h] = [x, y, w, h].map(|v| v.max(0).cast_unsigned());
+            if last.0 != beyond_base {
+                last = (beyond_base, level_of(base.saturating_add(beyond_base)));
+            }
+            let of_row = |row: u32| {
+                let column = |x: u32| row as usize * *columns as usize + x as usize;
+                column(x / BLOCK_PX)..column(x.saturating_add(w).min(width).div_ceil(BLOCK_PX))
+            };
             for row in (y / BLOCK_PX)..y.saturating_add(h).min(height).div_ceil(BLOCK_PX) {
-                for column in (x / BLOCK_PX)..x.saturating_add(w).min(width).div_ceil(BLOCK_PX) {
-                    if let Some(level) = levels.get_mut(row as usize * *columns as usize + column as usize) {
-                        *level = q;
-                    }
+                if let Some(levels) = levels.get_mut(of_row(row)) {
+                    levels.fill(last.1);
                 }
             }
         }

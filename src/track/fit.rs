@@ -40,7 +40,7 @@ const SAME_PX: f64 = 0.35;
 
 /// Samples serve for fits that end within this of where they were selected, pixels; further away their noise is that of
 /// another place, and steps no longer lower the cost. Most end within 0.5 px.
-const NEAR_PX: f64 = 1.0;
+pub(crate) const NEAR_PX: f64 = 1.0;
 /// Most need one selection, starts that are some pixels off two.
 const MAX_SELECTIONS: usize = 6;
 

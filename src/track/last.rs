@@ -1,22 +1,20 @@
 //! Where a stretch of tube was last, how it looked and how it moved: where the fit of the next frame starts.
 
 use crate::source::Timestamp;
-use crate::track::fit::{Look, TubeFit};
+use crate::track::fit::{Look, NEAR_PX, TubeFit};
 use crate::track::stretch::Stretch;
 use crate::track::tube::{ShapeStep, TubeShape};
 use std::ops::Range;
 
 /// Oldest shape that still tells something of the present one, seconds.
 const MAX_AGE_S: f64 = 0.06;
-/// Where the way from the start to the end of a fit was shorter than this, pixels, that of the next will be short too.
-const FOLLOWED_PX: f64 = 0.7;
 
 /// The last fit of a group.
 #[derive(Debug, Clone)]
 pub(crate) struct Last {
     stamp: Timestamp,
     pub shape: TubeShape,
-    /// How it looked, if its start was so good that only a short way was left.
+    /// How it looked, if its start was so good that samples selected there served. Those of the next will, too.
     looks: Option<Looks>,
     /// If it was fitted shortly before as well.
     motion: Option<Motion>,
@@ -62,7 +60,7 @@ impl Last {
         before: Option<&Self>,
     ) -> Self {
         let looks = || Looks { stretch: stretch.clone(), views: views.to_vec(), list: fit.looks() };
-        Self { looks: (fit.way_px < FOLLOWED_PX).then(looks), ..Self::new(stamp, &fit.shape, before) }
+        Self { looks: (fit.way_px < NEAR_PX).then(looks), ..Self::new(stamp, &fit.shape, before) }
     }
 
     /// The looks of a stretch in some views, if it was seen so and is expected close to where it continues.
