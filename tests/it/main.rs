@@ -15,6 +15,7 @@
 mod support;
 
 mod accuracy;
+mod allocations;
 mod architecture;
 mod batch;
 mod calibrate_base;
