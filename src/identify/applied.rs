@@ -5,6 +5,7 @@
 
 use super::chain::fits;
 use super::data::{Data, Segment};
+use super::diagnostics::slow;
 use super::fit::{InitialState, Kind, output};
 use super::identification::Fit;
 use super::modelled::{Modelled, Role};
@@ -49,7 +50,8 @@ pub(crate) fn apply(
     let segments: Vec<Segment> = data.validation.iter().flat_map(|r| r.segments.iter().cloned()).collect();
     let spectrum = spectrum(&segments, data.period_s);
     let excited_hz = spectrum.as_ref().map_or((0.0, 0.5 / data.period_s), |s| s.excited_hz);
-    let (mut models, mut notes) = (Vec::new(), Vec::new());
+    let mut models = Vec::new();
+    let mut notes: Vec<String> = slow(data.period_s).iter().map(ToString::to_string).collect();
     for model in &saved.models {
         match model.at(data.period_s) {
             Ok(samples) => {

@@ -1,5 +1,6 @@
 //! Reasons why a result is less reliable than it looks, in words.
 
+use super::jump::Jump;
 use super::model::Orders;
 use super::outliers::Outliers;
 use std::fmt;
@@ -69,6 +70,13 @@ pub enum Diagnostic {
         record: String,
         /// How many, and the worst.
         outliers: Outliers,
+    },
+    /// An output that lies elsewhere from some moment on.
+    Jumps {
+        /// The record.
+        record: String,
+        /// Where, and by how much.
+        jump: Jump,
     },
     /// An output that stays at its limit.
     AtLimit {
@@ -239,6 +247,12 @@ impl fmt::Display for Diagnostic {
                  {time_s:.3} s, where {modelled:.6} is expected: correct wrong values, or leave the cells empty",
                 if *count == 1 { "an output is".to_owned() } else { format!("{count} outputs are") }
             ),
+            Self::Jumps { record, jump: Jump { time_s, by } } => write!(
+                f,
+                "{record}: from {time_s:.2} s on the output lies {by:+.3} from where it was before, compared with the \
+                 model: did the camera, the mirror or the base move, or does the output drift? The constant term is \
+                 wrong by a part of it"
+            ),
             Self::AtLimit { record, count, value } => write!(
                 f,
                 "{record}: {count} outputs are exactly {value:.6}, and none is beyond: where a scale ends the model \
@@ -321,7 +335,13 @@ impl fmt::Display for Diagnostic {
                 )
             }
             Self::Slow { period_s } => {
-                write!(f, "samples are {period_s:.4} s apart: are the times milliseconds? They are taken as seconds")
+                // Samples are 10 to 10,000 times a second.
+                let unit = match period_s {
+                    ..=100.0 => "milliseconds",
+                    ..=1e5 => "microseconds",
+                    _ => "nanoseconds",
+                };
+                write!(f, "samples are {period_s:.4} s apart: are the times {unit}? They are taken as seconds")
             }
             Self::NoSpectrum => {
                 write!(

@@ -5,6 +5,7 @@ use super::data::{Data, Record};
 use super::diagnostic::Diagnostic;
 use super::fit::{InitialState, Kind};
 use super::identification::{Fit, Identification};
+use super::jump::jump;
 use super::model::{Orders, angle};
 use super::modelled::Role;
 use super::outliers;
@@ -26,8 +27,8 @@ const NEARLY_UNSTABLE: f64 = 1e-4;
 const FIRST_PERIOD_LIMIT: f64 = 2.0;
 /// Significance limit of a residual beyond noise, in σ.
 const SIGNIFICANT_SD: f64 = 3.3;
-/// Seconds from sample to sample of no catheter: a unit may be wrong.
-const SLOW_S: f64 = 1.0;
+/// Seconds from sample to sample of hardly any record of a catheter: a unit may be wrong.
+const SLOW_S: f64 = 0.2;
 /// Number of periods from which the expressions for estimated variances hold (see `periodic`).
 const ENOUGH_PERIODS: usize = 7;
 
@@ -36,12 +37,14 @@ const POOR_FIT_PERCENT: f64 = 50.0;
 /// Simulation error of an output of zero, percent.
 const WORSE_THAN_ZERO_PERCENT: f64 = 100.0;
 
+/// The question about a sampling period so long that the times may have another unit.
+pub(super) fn slow(period_s: f64) -> Option<Diagnostic> {
+    (period_s > SLOW_S).then_some(Diagnostic::Slow { period_s })
+}
+
 /// All diagnostics about a result.
 pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic> {
-    let mut diagnostics = Vec::new();
-    if data.period_s > SLOW_S {
-        diagnostics.push(Diagnostic::Slow { period_s: data.period_s });
-    }
+    let mut diagnostics: Vec<Diagnostic> = slow(data.period_s).into_iter().collect();
     for model in &done.models {
         let (title, largest_pole) = (model.title.clone(), model.largest_pole);
         if !model.is_stable() {
@@ -197,7 +200,11 @@ fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
         let (count, value) = outliers::limit(record)?;
         Some(Diagnostic::AtLimit { record: record.name.clone(), count, value })
     };
-    data.training.iter().flat_map(|record| [outlying(record), at_limit(record)]).flatten().collect()
+    let jumps = |record: &Record| {
+        let jump = jump(&model?.model, record, data.period_s)?;
+        Some(Diagnostic::Jumps { record: record.name.clone(), jump })
+    };
+    data.training.iter().flat_map(|record| [outlying(record), at_limit(record), jumps(record)]).flatten().collect()
 }
 
 /// Whether the refined model simulates the fitted records much better from another state than from rest.

@@ -56,6 +56,7 @@ pub(crate) mod planes;
 pub(crate) mod bandwidth;
 pub(crate) mod bootstrap;
 pub(crate) mod fit;
+mod jump;
 pub(crate) mod modelled;
 mod outliers;
 pub(crate) mod residuals;

@@ -208,11 +208,21 @@ fn one_wrong_time_stamp_is_named() {
 }
 
 #[test]
-fn times_in_milliseconds_are_asked_about() {
+fn times_in_another_unit_are_asked_about() {
     let folder = tempfile::tempdir().unwrap();
-    table(folder.path(), "ms.csv", 400, |_, t, u, y| [t * 1e3, u, y].map(|v| v.to_string()));
-    let (code, message) = identify(folder.path(), &[&["ms.csv", "-o", "out"], &COLUMNS, &SECOND]);
-    assert!(code == 0 && message.contains("10.0000 s apart: are the times milliseconds?"), "{code}: {message}");
+    // (At 1 kHz in milliseconds, too.)
+    for (times, apart, unit) in [
+        (1e2, "1.0000", "milliseconds"),
+        (1e3, "10.0000", "milliseconds"),
+        (1e6, "10000.0000", "microseconds"),
+        (1e9, "10000000.0000", "nanoseconds"),
+    ] {
+        table(folder.path(), "t.csv", 400, |_, t, u, y| [t * times, u, y].map(|v| v.to_string()));
+        let (code, message) = identify(folder.path(), &[&["t.csv", "-o", "out"], &COLUMNS, &SECOND]);
+        assert!(code == 0 && message.contains(&format!("{apart} s apart: are the times {unit}?")), "{code}: {message}");
+    }
+    let (_, message) = identify(folder.path(), &[&["t.csv", "--model", "out/model.json", "-o", "applied"], &COLUMNS]);
+    assert!(message.contains("are the times nanoseconds?"), "{message}");
 }
 
 #[test]
