@@ -37,6 +37,9 @@ const MIN_GAIN_SDS: f64 = 3.0;
 /// Step of the search for a band's length, and its limits, as ratios to the given one.
 const LENGTH_STEP: f64 = 0.05;
 const LENGTHS: (f64, f64) = (0.74, 1.36);
+/// Part of the length within which a search must end from where it began, or else is repeated from there; most searches.
+const LENGTH_SETTLED: f64 = 0.01;
+const MOST_SEARCHES: usize = 4;
 /// Independent thirds of the frames, whose results give the σ of a distance, and its least σ, metres.
 const PARTS: usize = 3;
 const MIN_FITTED_SD_M: f64 = 0.01e-3;
@@ -182,7 +185,17 @@ pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> 
         };
         let given = marker.length_m;
         let limits = (given * LENGTHS.0, given * LENGTHS.1);
-        let (mean, sd) = determined(rig, &some, given, given * LENGTH_STEP, limits, with)?;
+        // Far from the given one it is found too close to it.
+        let (mut start, mut found) = (given, None);
+        for _ in 0..MOST_SEARCHES {
+            let (mean, sd) = determined(&with(start), &some, start, given * LENGTH_STEP, limits, with)?;
+            found = Some((mean, sd));
+            if (mean - start).abs() < given * LENGTH_SETTLED {
+                break;
+            }
+            start = mean;
+        }
+        let (mean, sd) = found?;
         tracing::debug!("{} fits best with a length of {:.3} ± {:.3} mm", marker.name, mean * 1e3, sd * 1e3);
         Some((mean, sd))
     };

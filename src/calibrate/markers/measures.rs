@@ -2,7 +2,8 @@
 //!
 //! Across a band, and along it, each colour is a mixture of band and background (or tube). The sum of the band's
 //! fractions is its width or length in pixels, however blurred the picture is. Light and shade on a round tube make
-//! that coarse; the lengths of coil and next band are fitted as well, and are good to a fifth of a pixel or so.
+//! that coarse; the lengths of coil and next band are fitted as well, and are good to a fifth of a pixel or so, if they
+//! are not far from the given ones.
 
 use super::locate::pixels::{Pixels, Yuv};
 use crate::estimate::{BandObservation, Estimate};
@@ -20,14 +21,17 @@ pub struct ContradictedDimension {
     pub given_m: f64,
     /// As seen, metres.
     pub seen_m: f64,
+    /// Whether that was fitted. If not, it is coarse.
+    pub is_fitted: bool,
 }
 
 impl std::fmt::Display for ContradictedDimension {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (given, seen) = (self.given_m * 1e3, self.seen_m * 1e3);
+        let seen = if self.is_fitted { format!("{seen:.1}") } else { format!("about {seen:.0}") };
         match &self.band {
-            Some(name) => write!(f, "band `{name}` looks {seen:.1} mm long, not {given:.1} mm"),
-            None => write!(f, "the tube looks {seen:.1} mm thick, not {given:.2} mm"),
+            Some(name) => write!(f, "band `{name}` looks {seen} mm long, not {given:.1} mm"),
+            None => write!(f, "the tube looks {seen} mm thick, not {given:.2} mm"),
         }
     }
 }
@@ -73,6 +77,7 @@ pub(super) fn contradicted(
             band,
             given_m,
             seen_m: given_m * ratio,
+            is_fitted: false,
         })
     };
     let tube = judged(widths, None, rig.catheter.diameter_m);
@@ -81,10 +86,10 @@ pub(super) fn contradicted(
         let is_off = |(seen_m, sd_m): &(f64, f64)| {
             (seen_m - given_m).abs() > (OFF.0 * rig.catheter.diameter_m).max(OFF.1 * sd_m)
         };
-        judged(ratios, band.clone(), given_m).or_else(|| {
-            let (seen_m, _) = fitted.filter(is_off)?;
-            Some(ContradictedDimension { band, given_m, seen_m })
-        })
+        match fitted.filter(is_off) {
+            Some((seen_m, _)) => Some(ContradictedDimension { band, given_m, seen_m, is_fitted: true }),
+            None => judged(ratios, band, given_m),
+        }
     });
     tube.into_iter().chain(bands).collect()
 }

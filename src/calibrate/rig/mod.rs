@@ -311,7 +311,7 @@ fn without_taped((whole, corners): &(Solution, Vec<Corner>), start: &Initial) ->
 }
 
 /// The rig file with its mirrors, walls and views replaced by the new ones. Its base frame was found with the old ones
-/// and is removed.
+/// and is removed, and what is said of how these were found.
 pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
     let geometry = &done.solution.geometry;
     draft.camera.lens = geometry.lens;
@@ -330,5 +330,6 @@ pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
         })
         .collect();
     draft.base = None;
+    ["mirror", "base"].iter().for_each(|step| drop(draft.provenance.remove(*step)));
     draft
 }

@@ -446,7 +446,9 @@ fn describe(done: &Teaching) -> String {
 fn warnings(done: &Teaching) -> Vec<String> {
     let contradicted = done.outcome.iter().flat_map(|learned| &learned.contradicted);
     let mut all: Vec<String> = contradicted
-        .map(|measure| format!("{measure}: check the given value, and the size of the board's squares"))
+        .map(|measure| {
+            format!("{measure}: check the given value, and the scale of the rig (the size of the board's squares)")
+        })
         .collect();
     for (view, info) in done.views.iter().zip(&done.rig.views) {
         for (name, exposure) in view.classes.iter().zip(&view.exposure) {

@@ -95,9 +95,6 @@ pub(super) fn run(args: &MirrorArgs, print: impl Fn(&str) -> Result<(), Failure>
     if !done.has_moved() {
         // A move within its σ would replace a good position by a less certain one.
         print("Within its uncertainty the mirror has not moved: its position is kept.\n")?;
-        if out == &args.rig {
-            return print(&format!("\n{} is as it was\n", out.display()));
-        }
         done.rig = rig;
     }
     done.rig.provenance.insert("mirror".into(), provenance);

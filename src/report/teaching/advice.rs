@@ -13,7 +13,7 @@ pub(super) fn advice(done: &Teaching) -> Vec<String> {
         .outcome
         .iter()
         .flat_map(|learned| &learned.contradicted)
-        .map(|measure| format!("Measure again: {measure}. If it is right, is the size of the board's squares?"))
+        .map(|measure| format!("Measure again: {measure}. If it is right, check the scale of the rig."))
         .collect();
     let view_name = |v: usize| done.rig.views.get(v).map_or("", |view| view.name.as_str());
     let marker_name = |m: usize| done.rig.markers.get(m).map_or("", |marker| marker.name.as_str());
