@@ -37,6 +37,22 @@ pub(super) fn unique_text(path: &Path) -> String {
     path.to_str().map_or_else(|| format!("{path:?}"), str::to_owned)
 }
 
+/// Whether files can be made in a folder, which need not exist yet, as far as the system tells beforehand.
+pub(super) fn may_write_in(folder: &Path) -> io::Result<()> {
+    let here = Path::new(".");
+    let nearest = folder.ancestors().find(|folder| folder.exists()).unwrap_or(here);
+    if !nearest.is_dir() {
+        return Err(ErrorKind::NotADirectory.into());
+    }
+    #[cfg(unix)]
+    rustix::fs::access(nearest, rustix::fs::Access::WRITE_OK)?;
+    Ok(())
+}
+
+fn cannot_write(path: &Path, why: io::Error) -> Failure {
+    Failure::new(Exit::Failed, format!("cannot write to the output folder {}: {why}", path.display()))
+}
+
 /// Refuses to write what is read.
 ///
 /// # Errors
@@ -114,12 +130,13 @@ impl Results<'_> {
         Owner { command: self.command.to_owned(), recording: all.join(", ") }
     }
 
-    /// Refuses a folder in which something would be lost; writes nothing.
+    /// Refuses a folder in which something would be lost, or nothing can be written; writes nothing.
     ///
     /// # Errors
-    /// [`Exit::Usage`].
+    /// [`Exit::Usage`]; [`Exit::Failed`] when the folder cannot be written.
     pub(super) fn check(&self) -> Result<(), Failure> {
-        self.earlier().map(drop)
+        self.earlier()?;
+        may_write_in(self.folder).map_err(|e| cannot_write(self.folder, e))
     }
 
     fn earlier(&self) -> Result<Option<String>, Failure> {
@@ -134,17 +151,14 @@ impl Results<'_> {
     /// As [`Results::check`]; [`Exit::Failed`] when the folder cannot be written.
     pub(super) fn take(&self) -> Result<(), Failure> {
         let earlier = self.earlier()?;
-        let cannot = |path: &Path, e: io::Error| {
-            Failure::new(Exit::Failed, format!("cannot write to the output folder {}: {e}", path.display()))
-        };
-        fs::create_dir_all(self.folder).map_err(|e| cannot(self.folder, e))?;
+        fs::create_dir_all(self.folder).map_err(|e| cannot_write(self.folder, e))?;
         let earlier = earlier.and_then(|text| toml::from_str::<Run>(&text).ok());
         // Only plain names: files elsewhere were not written here.
         let is_name = |name: &&String| Path::new(name.as_str()).file_name().is_some_and(|only| only == name.as_str());
         for name in earlier.iter().flat_map(|run| &run.files).filter(is_name) {
             let path = self.folder.join(name);
             match fs::remove_file(&path) {
-                Err(e) if e.kind() != ErrorKind::NotFound => return Err(cannot(&path, e)),
+                Err(e) if e.kind() != ErrorKind::NotFound => return Err(cannot_write(&path, e)),
                 _ => {}
             }
         }
@@ -153,7 +167,7 @@ impl Results<'_> {
         let text =
             toml::to_string(&run).map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         let path = self.folder.join(RUN);
-        atomic_file::write(&path, origin(&text).as_bytes()).map_err(|e| cannot(&path, e))
+        atomic_file::write(&path, origin(&text).as_bytes()).map_err(|e| cannot_write(&path, e))
     }
 }
 
@@ -195,6 +209,8 @@ mod tests {
         let foreign = results(place.path(), &input, &["report.html"]).check().unwrap_err().to_string();
         assert!(foreign.contains("has a report.html that this command did not write"), "{foreign}");
         let file = results(&input[0], &input, &[]).check().unwrap_err().to_string();
+        let beyond = results(&input[0].join("out"), &input, &[]).check().unwrap_err().to_string();
+        assert!(beyond.contains("cannot write to the output folder"), "{beyond}");
         assert!(file.contains("is a file; choose a folder with -o"), "{file}");
     }
 }

@@ -8,7 +8,8 @@ mod pictures;
 mod rig;
 
 use super::outcome::{self, HiddenJson, Outcome};
-use super::{Failure, interrupt};
+use super::results::may_write_in;
+use super::{Exit, Failure, interrupt};
 use crate::calibrate::length_m;
 use crate::calibrate::rig::RigOptions;
 use crate::rig::{Draft, Rig};
@@ -165,6 +166,9 @@ pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
     }
     if out.is_dir() {
         return refused("is a folder; give the name of the rig file to write");
+    }
+    if let Err(why) = may_write_in(folder.unwrap_or(Path::new("."))) {
+        return Err(Failure::new(Exit::Failed, format!("{}: cannot be written: {why}", out.display())));
     }
     let is_rig = |text: String| text.parse::<toml::Table>().is_ok_and(|t| t.is_empty() || t.contains_key("camera"));
     if out.exists() && !std::fs::read_to_string(out).is_ok_and(is_rig) {
