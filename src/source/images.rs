@@ -2,7 +2,7 @@
 //!
 //! In: a folder of PNG, JPEG, TIFF, BMP or PNM pictures, and their times: a table `times.csv` beside them, or a stated
 //! frame rate. Out: the pictures as frames, in the order of the table, or in natural order of their names (`img2`
-//! before `img10`).
+//! before `img10`), whose missing numbers are lost pictures.
 //!
 //! 8-bit grey and RGB are taken as they are, 16 bits are reduced to 8 with a warning, transparency is ignored. All are
 //! taken for sRGB. A JPEG is the RGB that its decoder gives. A rotation in EXIF data is not applied: calibration refers
@@ -35,7 +35,7 @@ const TABLE: &str = "times.csv";
 pub enum ImageTiming {
     /// The table `times.csv` in the folder.
     Table,
-    /// No clock: frame i was taken at i / rate.
+    /// No clock: frame i was taken at i / rate, lost ones included.
     StatedRate(FrameRate),
 }
 
@@ -48,7 +48,7 @@ pub struct ImageFolder {
     next: usize,
     given: u64,
     clock: Clock,
-    gaps: Option<GapCounter>,
+    gaps: GapCounter,
     size_px: [u32; 2],
     depth_named: bool,
     keep_damaged: bool,
@@ -75,15 +75,19 @@ impl ImageFolder {
                 return Err(SourceError::TwoTimes { path: folder, rate: rate.to_string() });
             }
             (ImageTiming::StatedRate(rate), false) => {
-                warn_of_missing_numbers(&folder, &names);
                 let row = |(i, name): (u64, String)| {
                     let late = || SourceError::TimeRange { path: folder.clone(), seq: i };
                     Ok((name, rate.stamp_ns(i).ok_or_else(late)?))
                 };
-                ((0..).zip(names).map(row).collect::<Result<Vec<_>, SourceError>>()?, Clock::StatedRate)
+                let rows = positions(&folder, &names).into_iter().zip(names).map(row);
+                (rows.collect::<Result<Vec<_>, SourceError>>()?, Clock::StatedRate)
             }
         };
-        let gaps = (clock == Clock::Container).then(|| GapCounter::new(None, resolution_ns(&rows)));
+        let stated_ns = match timing {
+            ImageTiming::Table => None,
+            ImageTiming::StatedRate(rate) => Some(1e9 / rate.hz()),
+        };
+        let gaps = GapCounter::new(stated_ns, resolution_ns(&rows));
         let before_s =
             rows.iter().rev().find(|(_, ns)| span.from_ns.is_some_and(|from| *ns < from)).map(|r| seconds(r.1));
         let after_s = rows.iter().find(|(_, ns)| span.to_ns.is_some_and(|to| *ns > to)).map(|r| seconds(r.1));
@@ -162,8 +166,7 @@ impl FrameSource for ImageFolder {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         while let Some((name, ns)) = self.rows.get(self.next).cloned() {
             self.next += 1;
-            let gap = self.gaps.as_mut().map_or(0, |g| g.step(ns).gap);
-            self.missing = self.missing.saturating_add(gap);
+            self.missing = self.missing.saturating_add(self.gaps.step(ns).gap);
             let path = self.folder.join(&name);
             let picture = match self.read(&path) {
                 Ok(picture) => picture,
@@ -306,23 +309,41 @@ fn leading_number(text: &str) -> (&str, &str) {
     (digits.trim_start_matches('0'), rest)
 }
 
-/// A missing number may be a missing picture, and at a stated rate all later times would be wrong.
-fn warn_of_missing_numbers(folder: &Path, names: &[String]) {
+/// Where each picture is in its sequence, from 0, lost ones included, by the number that its name ends with. Where such
+/// numbers tell nothing, one picture follows the other.
+fn positions(folder: &Path, names: &[String]) -> Vec<u64> {
     let number = |name: &String| -> Option<u64> {
         let stem = Path::new(name).file_stem()?.to_str()?;
         let start = stem.trim_end_matches(|c: char| c.is_ascii_digit()).len();
         stem.get(start..)?.parse().ok()
     };
-    let Some(numbers) = names.iter().map(number).collect::<Option<Vec<_>>>() else { return };
+    let count = names.len() as u64;
+    let in_a_row = || (0..count).collect();
+    let Some(numbers) = names.iter().map(number).collect::<Option<Vec<_>>>() else { return in_a_row() };
     let steps = || numbers.iter().zip(numbers.iter().skip(1)).map(|(a, b)| b.saturating_sub(*a));
-    let usual = steps().min();
-    let jump = names.iter().zip(names.iter().skip(1)).zip(steps()).find(|(_, step)| Some(*step) != usual);
-    if let Some(((before, after), _)) = jump {
-        tracing::warn!(
-            "{}: {before} is followed by {after}; at a stated frame rate no picture may be missing, or all later times \
-             are wrong",
-            folder.display()
-        );
+    let usual = steps().min().unwrap_or(1);
+    let jump = names.iter().zip(names.iter().skip(1)).zip(steps()).find(|(_, step)| *step != usual);
+    let Some(((before, after), _)) = jump else { return in_a_row() };
+    let place = folder.display();
+    let lost = steps().sum::<u64>().checked_div(usual).map(|last| (last + 1).saturating_sub(count));
+    match lost.filter(|lost| *lost < count && steps().all(|step| step.is_multiple_of(usual))) {
+        Some(lost) => {
+            tracing::warn!("{place}: {before} is followed by {after}; missing numbers count as lost pictures: {lost}");
+            std::iter::once(0)
+                .chain(steps())
+                .scan(0, |at, step| {
+                    *at += step / usual;
+                    Some(*at)
+                })
+                .collect()
+        }
+        None => {
+            tracing::warn!(
+                "{place}: {before} is followed by {after}, and the numbers are not evenly spaced: at the stated frame \
+                 rate one picture is taken to follow the other; if any is missing, all later times are wrong"
+            );
+            in_a_row()
+        }
     }
 }
 

@@ -120,8 +120,15 @@ fn a_missing_number_at_a_stated_rate_and_sixteen_bits_are_named() {
     let options = SourceOptions { stated_rate: Some("25".parse().unwrap()), ..SourceOptions::default() };
     let found = warnings(folder.path(), options);
     assert_eq!(found.len(), 2, "{found:?}");
-    assert!(found[0].contains("img02.png is followed by img04.png; at a stated frame rate"), "{found:?}");
-    assert!(found[1].contains("samples of 16 bits are reduced to 8"), "{found:?}");
+    let lost = "img02.png is followed by img04.png; missing numbers count as lost pictures: 1";
+    assert!(found[0].contains(lost) && found[1].contains("samples of 16 bits are reduced to 8"), "{found:?}");
+    let mut source = catoptra::source::open(folder.path(), options).unwrap();
+    let frames = std::iter::from_fn(|| source.next_frame().unwrap()).map(|frame| (frame.stamp.ns, frame.gap));
+    assert_eq!(frames.collect::<Vec<_>>(), [(0, 0), (40_000_000, 0), (120_000_000, 1)]);
+    // Numbers of another kind.
+    std::fs::rename(folder.path().join("img04.png"), folder.path().join("img900.png")).unwrap();
+    let found = warnings(folder.path(), options);
+    assert!(found[0].contains("img900.png, and the numbers are not evenly spaced"), "{found:?}");
 }
 
 #[test]
