@@ -209,8 +209,8 @@ mod tests {
         let foreign = results(place.path(), &input, &["report.html"]).check().unwrap_err().to_string();
         assert!(foreign.contains("has a report.html that this command did not write"), "{foreign}");
         let file = results(&input[0], &input, &[]).check().unwrap_err().to_string();
+        assert!(file.contains("is a file; choose a folder with -o"), "{file}");
         let beyond = results(&input[0].join("out"), &input, &[]).check().unwrap_err().to_string();
         assert!(beyond.contains("cannot write to the output folder"), "{beyond}");
-        assert!(file.contains("is a file; choose a folder with -o"), "{file}");
     }
 }

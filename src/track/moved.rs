@@ -1,27 +1,28 @@
 //! Notices a camera, mirror or tank that was moved during the run, by a knock or little by little, seen at the base
 //! band, which rests but for what the tube bends it.
 //!
-//! Method. A line is fitted to the base band's positions over the direction of the coil, with which a band that is not
-//! quite at the clamp moves. The mean of its latest positions is compared with this line. Both have the same errors of
-//! rig and image model. By how much it is off is the error of all positions, if the rig still is where it was at first,
-//! and belongs into their covariance; the line stays as it is as long as it is off. While the coil is not seen, its
-//! direction is any of those before.
+//! Method. Where the band was in its first frames, and a line over the direction of the coil through there, with which a
+//! band that is not quite at the clamp moves, tell where it should be. The line's slope is fitted to all positions, but
+//! only to how they differ within a second or two, so that it does not take a creep for rest. The mean of the latest
+//! positions is compared with this line. Both have the same errors of rig and image model. By how much it is off is the
+//! error of all positions, if the rig still is where it was at first, and belongs into their covariance; the slope stays
+//! as it is as long as it is off. While the coil is not seen, its direction is any of those before.
 //!
 //! Cannot tell: moves before the run or that the base band does not see (the tally's drift alarms see some of them);
-//! which of both moments the rig is right for; a creep over all of a run, of which half is taken for rest; all of a
-//! move among the first frames, to some of which the line is fitted; anything before the coil was seen for the first
-//! time.
+//! which of both moments the rig is right for; all of a move among the first frames; anything before the coil was seen
+//! for the first time.
 
 use crate::estimate::Position;
 use crate::source::Timestamp;
-use nalgebra::{Matrix3, Matrix4, Matrix4x3, Vector3, Vector4};
+use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
 /// Fewest frames of the latest mean, and the time that they must span, so that a vibration averages out, nanoseconds.
 const LATEST: usize = 15;
 const LATEST_NS: i64 = 200_000_000;
-/// The fewest frames that the line is fitted to.
-const MIN_FITTED: usize = 15;
+/// First frames, and frames within which later positions are compared.
+const FIRST: usize = 30;
+const TOGETHER: usize = 90;
 /// So many positions in a row may have the same error, where a coder leaves a band as it was.
 const ALIKE: f64 = 15.0;
 /// Prior σ of how far the band moves when the coil turns, metres per radian: a fiftieth of a tube's length.
@@ -36,11 +37,13 @@ const BACK_CHI2: f64 = 1.0;
 #[derive(Debug, Default)]
 pub(crate) struct Moved {
     /// The first, from which all others are counted.
-    first: Option<(Vector3<f64>, Vector3<f64>)>,
-    /// Normal equations of the line: its offset, and its slope along the three coordinates of the direction.
-    normal: Matrix4<f64>,
-    right: Matrix4x3<f64>,
-    fitted: usize,
+    origin: Option<(Vector3<f64>, Vector3<f64>)>,
+    /// The first frames, those that are added now, and all.
+    first: Sums,
+    now: Sums,
+    all: Sums,
+    /// How positions differ within the frames before these.
+    bends: Bends,
     latest: VecDeque<Sample>,
     /// How far it had moved when it began anew, metres.
     before: Vector3<f64>,
@@ -49,13 +52,62 @@ pub(crate) struct Moved {
     seen: bool,
 }
 
-/// One position, from the first, with the direction of the coil, if it was seen, from the first, behind a 1.
+/// One position, and the direction of the coil, if it was seen, both from the first.
 #[derive(Debug, Clone, Copy)]
 struct Sample {
     ns: i64,
-    by: Option<Vector4<f64>>,
+    direction: Option<Vector3<f64>>,
     position: Vector3<f64>,
     covariance: Matrix3<f64>,
+}
+
+/// Sums over positions p and directions d, weighted.
+#[derive(Debug, Default, Clone, Copy)]
+struct Sums {
+    frames: usize,
+    weight: f64,
+    direction: Vector3<f64>,
+    position: Vector3<f64>,
+    /// Σ d dᵀ and Σ d pᵀ.
+    bends: Bends,
+}
+
+/// Products of directions with themselves and with positions.
+#[derive(Debug, Default, Clone, Copy)]
+struct Bends {
+    squares: Matrix3<f64>,
+    products: Matrix3<f64>,
+}
+
+impl std::ops::Add for Bends {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self { squares: self.squares + other.squares, products: self.products + other.products }
+    }
+}
+
+impl Sums {
+    fn add(&mut self, direction: &Vector3<f64>, position: &Vector3<f64>, weight: f64) {
+        self.frames += 1;
+        self.weight += weight;
+        self.direction += direction * weight;
+        self.position += position * weight;
+        self.bends.squares += direction * direction.transpose() * weight;
+        self.bends.products += direction * position.transpose() * weight;
+    }
+
+    /// The products about the means.
+    fn scatter(&self) -> Bends {
+        if self.weight == 0.0 {
+            return Bends::default();
+        }
+        let Self { weight, direction, position, bends, .. } = self;
+        Bends {
+            squares: bends.squares - direction * direction.transpose() / *weight,
+            products: bends.products - direction * position.transpose() / *weight,
+        }
+    }
 }
 
 impl Moved {
@@ -72,23 +124,28 @@ impl Moved {
 
     /// Adds a position of the base band, with the direction of the coil, if it was seen.
     pub(crate) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
-        let Some((place, turn)) = self.first.or_else(|| Some((base.point.coords, *direction?))) else { return };
-        self.first = Some((place, turn));
-        let by = direction.map(|direction| (direction - turn).insert_row(0, 1.0));
-        let position = base.point.coords - place;
-        self.latest.push_back(Sample { ns: stamp.ns, by, position, covariance: base.covariance });
+        let Some((place, turn)) = self.origin.or_else(|| Some((base.point.coords, *direction?))) else { return };
+        self.origin = Some((place, turn));
+        let (direction, position) = (direction.map(|direction| direction - turn), base.point.coords - place);
+        self.latest.push_back(Sample { ns: stamp.ns, direction, position, covariance: base.covariance });
         // (A clock that is set back ends the mean, too.)
         let is_long = |latest: &VecDeque<Sample>| {
             latest.len() > LATEST && latest.get(1).is_some_and(|next| !(0..LATEST_NS).contains(&(stamp.ns - next.ns)))
         };
         while is_long(&self.latest)
-            && let Some(Sample { by, position, covariance, .. }) = self.latest.pop_front()
+            && let Some(Sample { direction, position, covariance, .. }) = self.latest.pop_front()
         {
-            let Some(by) = by.filter(|_| !self.is_off) else { continue };
+            let Some(direction) = direction.filter(|_| !self.is_off) else { continue };
             let weight = 3.0 / covariance.trace() / ALIKE;
-            self.normal += by * by.transpose() * weight;
-            self.right += by * position.transpose() * weight;
-            self.fitted += 1;
+            self.all.add(&direction, &position, weight);
+            if self.first.frames < FIRST {
+                self.first.add(&direction, &position, weight);
+                continue;
+            }
+            self.now.add(&direction, &position, weight);
+            if self.now.frames == TOGETHER {
+                self.bends = self.bends + std::mem::take(&mut self.now).scatter();
+            }
         }
     }
 
@@ -107,26 +164,28 @@ impl Moved {
     /// How far the latest positions are from the line, metres, and the square of that over its covariance; `None` with
     /// too few positions.
     fn off(&self) -> Option<(Vector3<f64>, f64)> {
-        if self.latest.len() < LATEST || self.fitted < MIN_FITTED {
+        if self.latest.len() < LATEST || self.first.frames < LATEST {
             return None;
         }
         let count = self.latest.len() as f64;
-        let known = self.normal + Matrix4::from_diagonal(&Vector3::repeat(BENT_M.powi(-2)).insert_row(0, 0.0));
-        let inverse = known.cholesky()?.inverse();
-        let line = inverse * self.right;
-        let usual = self.normal.column(0) / self.normal.m11;
-        let by = self.latest.iter().map(|sample| sample.by.unwrap_or(usual)).sum::<Vector4<f64>>() / count;
+        let known = self.first.scatter() + self.bends + self.now.scatter();
+        let uncertain = (known.squares + Matrix3::from_diagonal_element(BENT_M.powi(-2))).cholesky()?.inverse();
+        let slope = uncertain * known.products;
+        let usual = self.all.direction / self.all.weight;
+        let sum = self.latest.iter().map(|sample| sample.direction.unwrap_or(usual)).sum::<Vector3<f64>>();
+        let turned = sum / count - self.first.direction / self.first.weight;
         let position = self.latest.iter().map(|sample| sample.position).sum::<Vector3<f64>>() / count;
+        let off = position - self.first.position / self.first.weight - slope.tr_mul(&turned);
         let own = self.latest.iter().map(|sample| sample.covariance).sum::<Matrix3<f64>>() / count;
-        let mut variance = own + Matrix3::from_diagonal_element((by.transpose() * inverse * by)[0]);
-        let hidden = self.latest.iter().filter(|sample| sample.by.is_none()).count() as f64 / count;
+        let of_line = 1.0 / self.first.weight + turned.dot(&(uncertain * turned));
+        let mut variance = own + Matrix3::from_diagonal_element(of_line);
+        let hidden = self.latest.iter().filter(|sample| sample.direction.is_none()).count() as f64 / count;
         if hidden > 0.0 {
             // Of unknown directions, as they scattered so far.
-            let scatter = self.normal / self.normal.m11 - usual * usual.transpose();
-            let bent = line.tr_mul(&(scatter * line)) + Matrix3::from_diagonal_element((inverse * scatter).trace());
+            let scatter = self.all.scatter().squares / self.all.weight;
+            let bent = slope.tr_mul(&(scatter * slope)) + Matrix3::from_diagonal_element((uncertain * scatter).trace());
             variance += bent * hidden;
         }
-        let off = position - line.tr_mul(&by);
         Some((off, off.dot(&variance.cholesky()?.solve(&off))))
     }
 }
@@ -198,7 +257,7 @@ mod tests {
         assert!((last - to * to.transpose()).norm() < 0.3 * to.norm_squared(), "{last}");
         let (crept, seen) = follow(600, |k| bent(k) + to * (k as f64 / 600.0));
         let part = (crept[599].trace() / to.norm_squared()).sqrt();
-        assert!(seen && (0.4..1.1).contains(&part), "{part}");
+        assert!(seen && (0.85..1.1).contains(&part), "{part}");
     }
 
     #[test]

@@ -37,7 +37,7 @@ const MIN_GAIN_SDS: f64 = 3.0;
 /// Step of the search for a band's length, and its limits, as ratios to the given one.
 const LENGTH_STEP: f64 = 0.05;
 const LENGTHS: (f64, f64) = (0.74, 1.36);
-/// Part of the length within which a search must end from where it began, or else is repeated from there; most searches.
+/// A search that ends further from where it began than this part of the length is repeated from there; most searches.
 const LENGTH_SETTLED: f64 = 0.01;
 const MOST_SEARCHES: usize = 4;
 /// Independent thirds of the frames, whose results give the σ of a distance, and its least σ, metres.
@@ -186,16 +186,14 @@ pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> 
         let given = marker.length_m;
         let limits = (given * LENGTHS.0, given * LENGTHS.1);
         // Far from the given one it is found too close to it.
-        let (mut start, mut found) = (given, None);
+        let (mut mean, mut sd) = (given, 0.0);
         for _ in 0..MOST_SEARCHES {
-            let (mean, sd) = determined(&with(start), &some, start, given * LENGTH_STEP, limits, with)?;
-            found = Some((mean, sd));
+            let start = mean;
+            (mean, sd) = determined(&with(start), &some, start, given * LENGTH_STEP, limits, with)?;
             if (mean - start).abs() < given * LENGTH_SETTLED {
                 break;
             }
-            start = mean;
         }
-        let (mean, sd) = found?;
         tracing::debug!("{} fits best with a length of {:.3} ± {:.3} mm", marker.name, mean * 1e3, sd * 1e3);
         Some((mean, sd))
     };

@@ -28,10 +28,10 @@ pub struct ContradictedDimension {
 impl std::fmt::Display for ContradictedDimension {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (given, seen) = (self.given_m * 1e3, self.seen_m * 1e3);
-        let seen = if self.is_fitted { format!("{seen:.1}") } else { format!("about {seen:.0}") };
         match &self.band {
-            Some(name) => write!(f, "band `{name}` looks {seen} mm long, not {given:.1} mm"),
-            None => write!(f, "the tube looks {seen} mm thick, not {given:.2} mm"),
+            Some(name) if self.is_fitted => write!(f, "band `{name}` looks {seen:.1} mm long, not {given:.1} mm"),
+            Some(name) => write!(f, "band `{name}` looks about {seen:.0} mm long, not {given:.1} mm"),
+            None => write!(f, "the tube looks about {seen:.1} mm thick, not {given:.2} mm"),
         }
     }
 }

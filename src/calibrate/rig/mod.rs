@@ -330,6 +330,8 @@ pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
         })
         .collect();
     draft.base = None;
-    ["mirror", "base"].iter().for_each(|step| drop(draft.provenance.remove(*step)));
+    for step in ["mirror", "base"] {
+        draft.provenance.remove(step);
+    }
     draft
 }
