@@ -200,8 +200,10 @@ fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
         let (count, value) = outliers::limit(record)?;
         Some(Diagnostic::AtLimit { record: record.name.clone(), count, value })
     };
+    // Where the input depends on the output, a refined model may follow a jump.
+    let stable = || done.models.iter().filter(|model| model.is_stable());
     let jumps = |record: &Record| {
-        let jump = jump(&model?.model, record, data.period_s)?;
+        let jump = stable().find_map(|model| jump(&model.model, record, data.period_s))?;
         Some(Diagnostic::Jumps { record: record.name.clone(), jump })
     };
     data.training.iter().flat_map(|record| [outlying(record), at_limit(record), jumps(record)]).flatten().collect()

@@ -197,6 +197,11 @@ fn wrong_units_signs_and_values_are_told() {
     let wrong = changed(folder.path(), "training.csv", "theta_deg", |k, y| if k == 3000 { -999.0 } else { y });
     let (_, _, told) = refined(&wrong, &currents, &[]);
     assert!(told.contains("the worst -17.435839 at sample 3000"), "{told}");
+    let moved = changed(folder.path(), "training.csv", "theta_deg", |k, y| if k >= 3000 { y + 3.0 } else { y });
+    let (_, _, told) = refined(&moved, &currents, &[]);
+    assert!(told.contains(" s on the output lies +0.0"), "{told}");
+    let (_, _, told) = refined(&record, &currents, &[]);
+    assert!(!told.contains("the output lies"), "{told}");
     let clipped = changed(folder.path(), "training.csv", "theta_deg", |_, y| y.min(12.0));
     let (_, _, told) = refined(&clipped, &currents, &[]);
     assert!(told.contains("outputs are exactly 0.209440"), "{told}");
