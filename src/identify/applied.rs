@@ -92,8 +92,8 @@ pub(crate) fn apply(
     Ok(applied)
 }
 
-/// Σ y ŷ / Σ ŷ².
-fn best_gain(model: &Modelled, segments: &[Segment], initial_state: InitialState) -> f64 {
+/// The factor with which a model's output would fit best, Σ y ŷ / Σ ŷ².
+pub(super) fn best_gain(model: &Modelled, segments: &[Segment], initial_state: InitialState) -> f64 {
     let (mut product, mut energy) = (0.0, 0.0);
     for segment in segments {
         let modelled = output(&model.model, segment, Kind::Simulation(initial_state));

@@ -71,6 +71,11 @@ pub enum Diagnostic {
         /// How many, and the worst.
         outliers: Outliers,
     },
+    /// Records that the common model fits best with different factors.
+    Gains {
+        /// The records that differ most, each with its factor.
+        records: [(String, f64); 2],
+    },
     /// An output that lies elsewhere from some moment on.
     Jumps {
         /// The record.
@@ -246,6 +251,11 @@ impl fmt::Display for Diagnostic {
                 "{record}: {} far from what comes before and after, the worst {value:.6} at sample {sample}, \
                  {time_s:.3} s, where {modelled:.6} is expected: correct wrong values, or leave the cells empty",
                 if *count == 1 { "an output is".to_owned() } else { format!("{count} outputs are") }
+            ),
+            Self::Gains { records: [(less, least), (more, most)] } => write!(
+                f,
+                "{more} would fit the common model best times {most:.3}, {less} times {least:.3}: other units, another \
+                 coil or amplifier range? Identify them one by one"
             ),
             Self::Jumps { record, jump: Jump { time_s, by } } => write!(
                 f,

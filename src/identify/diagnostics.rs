@@ -1,5 +1,6 @@
 //! Warnings to read before using the numbers.
 
+use super::applied::best_gain;
 use super::continuous::Conversion;
 use super::data::{Data, Record};
 use super::diagnostic::Diagnostic;
@@ -34,6 +35,8 @@ const ENOUGH_PERIODS: usize = 7;
 
 /// Simulation error beyond which a model is called poor, percent.
 const POOR_FIT_PERCENT: f64 = 50.0;
+/// Difference between the gains of records that are fitted together that is reported, as part of them.
+const GAIN_TOLERANCE: f64 = 0.03;
 /// Simulation error of an output of zero, percent.
 const WORSE_THAN_ZERO_PERCENT: f64 = 100.0;
 
@@ -90,6 +93,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     }
     diagnostics.extend(off_centre(data));
     diagnostics.extend(wrong_values(data, done));
+    diagnostics.extend(other_gains(data, done));
     diagnostics.extend(not_at_rest(data, done));
     diagnostics.extend(against_torque(data, done));
     if let Some(residuals) = &done.residuals {
@@ -207,6 +211,17 @@ fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
         Some(Diagnostic::Jumps { record: record.name.clone(), jump })
     };
     data.training.iter().flat_map(|record| [outlying(record), at_limit(record), jumps(record)]).flatten().collect()
+}
+
+/// Whether the records differ in their gain.
+fn other_gains(data: &Data, done: &Identification) -> Option<Diagnostic> {
+    let model = done.leading().filter(|model| model.is_stable())?;
+    let gain = |record: &Record| (record.name.clone(), best_gain(model, &record.segments, InitialState::Rest));
+    let gains: Vec<_> = data.training.iter().map(gain).filter(|(_, gain)| gain.is_finite()).collect();
+    let least = gains.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let most = gains.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let differ = least.1 <= 0.0 || most.1 / least.1 > 1.0 + GAIN_TOLERANCE;
+    (gains.len() > 1 && differ).then(|| Diagnostic::Gains { records: [least.clone(), most.clone()] })
 }
 
 /// Whether the refined model simulates the fitted records much better from another state than from rest.

@@ -197,12 +197,37 @@ fn wrong_units_signs_and_values_are_told() {
     let wrong = changed(folder.path(), "training.csv", "theta_deg", |k, y| if k == 3000 { -999.0 } else { y });
     let (_, _, told) = refined(&wrong, &currents, &[]);
     assert!(told.contains("the worst -17.435839 at sample 3000"), "{told}");
+    let (_, _, told) = refined(&record, &currents, &[]);
+    assert!(!told.contains("the output lies") && !told.contains("in radians?"), "{told}");
     let moved = changed(folder.path(), "training.csv", "theta_deg", |k, y| if k >= 3000 { y + 3.0 } else { y });
     let (_, _, told) = refined(&moved, &currents, &[]);
     assert!(told.contains(" s on the output lies +0.0"), "{told}");
-    let (_, _, told) = refined(&record, &currents, &[]);
-    assert!(!told.contains("the output lies"), "{told}");
     let clipped = changed(folder.path(), "training.csv", "theta_deg", |_, y| y.min(12.0));
     let (_, _, told) = refined(&clipped, &currents, &[]);
     assert!(told.contains("outputs are exactly 0.209440"), "{told}");
+}
+
+/// Of three records fitted together, one has currents as of another coil; another one alone is in radians.
+#[test]
+fn another_gain_and_another_unit_of_the_angle_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let other = changed(folder.path(), "validation_2_currents.csv", "axial_a", |_, a| a / 0.9);
+    let told = |records: &[PathBuf], currents: &[PathBuf]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+        command.arg("identify").args(records).arg("--plant").arg(sample("plant.toml"));
+        currents.iter().for_each(|currents| drop(command.arg("--currents").arg(currents)));
+        let output = command.args(["--order", "4", "--bootstrap", "0", "-o"]).arg(folder.path().join("out")).output();
+        let text = String::from_utf8_lossy(&output.unwrap().stderr).into_owned();
+        std::fs::remove_dir_all(folder.path().join("out")).unwrap_or_default();
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let records = ["training", "validation_1", "validation_2"];
+    let [tables, currents] = ["", "_currents"].map(|of| records.map(|record| sample(&format!("{record}{of}.csv"))));
+    let alike = told(&tables, &currents);
+    assert!(!alike.contains("would fit the common model best"), "{alike}");
+    let differ = told(&tables, &[currents[0].clone(), currents[1].clone(), other]);
+    assert!(differ.contains("validation_2.csv times 0.9"), "{differ}");
+    let radians = changed(folder.path(), "training.csv", "theta_deg", |_, theta| theta.to_radians());
+    let radians = told(&[radians], &currents[..1]);
+    assert!(radians.contains("is the table's column in radians?"), "{radians}");
 }

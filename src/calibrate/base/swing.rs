@@ -23,6 +23,9 @@ const MIN_SIGN_DEFLECTION: (f64, f64) = (3.0 * DEGREE, 3.0);
 /// a pixel in the picture.
 const POSE_RAD: f64 = DEGREE;
 
+/// Deflection to one side over that to the other below which a swing is one-sided.
+const ONE_SIDED: f64 = 0.25;
+
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 /// A swing and its plane.
@@ -42,6 +45,15 @@ pub struct Swing {
     pub(super) turn_sd_rad: f64,
     /// Rotation of x about z per rotation of z about x.
     pub(super) turn_with_z: f64,
+}
+
+impl Swing {
+    /// Whether it goes almost only to one side of the direction at rest.
+    pub fn is_one_sided(&self) -> bool {
+        let [low, high] = self.range_rad;
+        let sides = [-low, high].map(|side| side.max(0.0));
+        sides[0].min(sides[1]) < ONE_SIDED * sides[0].max(sides[1])
+    }
 }
 
 /// Why there is no plane.

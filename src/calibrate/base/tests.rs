@@ -90,6 +90,10 @@ fn the_frame_of_exact_recordings_is_exact() {
     let swing = found.swing.unwrap();
     assert_eq!((swing.measured, swing.first), (190, stamp(2)));
     assert!((swing.range_rad[0] + 0.6).abs() < 1e-3 && (swing.range_rad[1] - 0.6).abs() < 1e-3);
+    assert!(!swing.is_one_sided());
+    for range_rad in [[-0.1, 0.6], [-0.6, 0.0], [0.3, 0.6]] {
+        assert!(Swing { range_rad, ..swing }.is_one_sided(), "{range_rad:?}");
+    }
 
     let b0 = axes().transpose() * Vector3::new(3.0, 0.0, 1.0);
     let found = calibrate_base(&still(20), Field::Known(b0, 0.0)).unwrap();

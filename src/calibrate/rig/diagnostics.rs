@@ -35,8 +35,8 @@ pub enum Diagnostic {
     /// Correlated residuals.
     #[error(
         "corners of the {view} view that are neighbours are off together, {times:.1} times as much as noise explains: \
-         is there water or glass that was not given, a mirror that is not flat, another lens or focus than calibrated, \
-         squares of another size?"
+         is there water or glass that was not given, a mirror or a board that is not flat, another lens or focus than \
+         calibrated, squares of another size? Did camera, mirror or tank move between two pictures?"
     )]
     Together {
         /// Name of the view.
@@ -47,7 +47,8 @@ pub enum Diagnostic {
     /// Wrong lengths.
     #[error(
         "lengths of {nominal_mm:.0} mm on held-out boards are off {times:.1} times as much as noise explains: is a \
-         board bent, or was one moved during the exposure?"
+         board bent, or its print stretched along one side? Was it moved during the exposure, or camera, mirror or tank \
+         between two pictures?"
     )]
     Lengths {
         /// The length.
@@ -58,7 +59,7 @@ pub enum Diagnostic {
     /// A prior that is far from what the pictures give.
     #[error(
         "the pictures contradict {what} as it was given, by {off:.1} σ: is it right, and the size of the squares? Were \
-         pictures flipped or turned, or taken with another lens?"
+         pictures flipped or turned, or taken with another lens, focus or zoom? Is the print stretched along one side?"
     )]
     Prior {
         /// What.

@@ -85,6 +85,10 @@ struct KnownField {
 }
 
 impl BaseArgs {
+    fn recordings(&self) -> impl Iterator<Item = &Path> {
+        [Some(self.rest.as_path()), self.planar.as_deref()].into_iter().flatten()
+    }
+
     /// The rig file to write.
     pub(super) fn out(&self) -> &PathBuf {
         self.out.as_ref().unwrap_or(&self.rig)
@@ -98,7 +102,9 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     let known = if args.planar.is_some() { None } else { Some(known_field(args, &rig)?) };
     // Both are opened before tracking, so that a mistyped name is reported at once.
     let open = |path: &Path| {
-        let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
+        // Of a video and a folder of pictures it is that of the folder.
+        let is_meant = path.is_dir() || !args.recordings().any(Path::is_dir);
+        let options = SourceOptions { stated_rate: args.fps.filter(|_| is_meant), ..SourceOptions::default() };
         fitting::open_to_track((path, options), (&args.rig, &rig))
     };
     let rest = open(&args.rest)?;
@@ -117,11 +123,25 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     let done = calibrate_base(&rest, field).map_err(|e| failure(&rig, subject(args, known.as_ref(), &e), e))?;
 
     print(&describe(args, known.as_ref(), &rest, &planar, &done))?;
+    let doubt = done.swing.as_ref().filter(|swing| swing.is_one_sided()).map(|swing| one_sided(args, swing.range_rad));
+    doubt.iter().for_each(|doubt| tracing::warn!("doubt: {doubt}"));
     let gravity = args.gravity.map(Direction::unit).or_else(|| rig.base.as_ref()?.gravity);
-    rig.provenance.insert("base".into(), provenance(args, known.as_ref(), &rest, &planar, &done).into());
+    let mut noted = provenance(args, known.as_ref(), &rest, &planar, &done);
+    noted.insert("doubts".into(), Vec::from_iter(doubt).into());
+    rig.provenance.insert("base".into(), noted.into());
     rig.base = Some(Base { gravity, ..done.base });
     let written = save(&rig.into(), out)?;
     print(&format!("\n{written}\n"))
+}
+
+/// What a swing to one side may mean.
+fn one_sided(args: &BaseArgs, range_rad: [f64; 2]) -> String {
+    let [low, high] = range_rad.map(f64::to_degrees);
+    format!(
+        "the swing goes from {low:.1}° to {high:.1}° about the direction in {}: was the catheter held deflected there, by a \
+         current that was left on? Then z, the zero of θ and x are wrong",
+        args.rest.display()
+    )
 }
 
 /// From the command line, or else from the rig.

@@ -150,7 +150,8 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     for astray in pictures::astray(done.used.iter().map(|(_, picture)| picture), done.solution.corner_sd_px) {
         tracing::warn!("{astray}");
     }
-    for warning in other_sd(&seen, &done).into_iter().chain(shared_pictures(&draft, searched)?) {
+    let warnings = other_sd(&seen, &done).into_iter().chain(shared_pictures(&draft, searched)?);
+    for warning in warnings.chain(other_squares(&seen, &draft)) {
         tracing::warn!("{warning}");
     }
     let doubts: Vec<String> = diagnose(&done, &held).iter().map(ToString::to_string).collect();
@@ -193,6 +194,18 @@ impl Seen {
             Self::Points { points, .. } => points.names().len(),
         }
     }
+}
+
+/// Says that the lens was calibrated with a board of as many corners, but with squares of another size.
+fn other_squares(seen: &Seen, draft: &Draft) -> Option<String> {
+    let Seen::Boards { board, .. } = seen else { return None };
+    let before: Board = draft.provenance.get("camera")?.get("board")?.as_str()?.parse().ok()?;
+    let is_alike = Board { square_m: board.square_m, ..before.clone() } == *board;
+    (is_alike && before != *board).then(|| {
+        format!(
+            "the lens was calibrated with the board {before}, and this is {board}: is it one board, measured twice?"
+        )
+    })
 }
 
 /// Searches the pictures for boards, including those taped to walls, or reads the points.

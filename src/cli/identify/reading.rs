@@ -22,6 +22,8 @@ use std::path::Path;
 const DECIMATION_NEEDS: usize = 11;
 /// Current beyond which a unit is more likely to be wrong than the current right.
 const MOST_AMPERES: f64 = 50.0;
+/// Angle below which all of a record is hardly a deflection in degrees.
+const LEAST_DEGREES: f64 = 1.0;
 /// The input of a log without Eq. 6.
 const CURRENT: &str = "current";
 
@@ -226,6 +228,10 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     if let Some(largest) = held.largest().filter(|a| plant.is_some() && *a > MOST_AMPERES) {
         tracing::warn!("{source}: holds currents of up to {largest:.0} A: Eq. 6 needs amperes; are these mA?");
     }
+    let largest_rad = observed.theta_rad.iter().flatten().fold(0.0, |largest: f64, theta| largest.max(theta.abs()));
+    if largest_rad < LEAST_DEGREES.to_radians() {
+        tracing::warn!("{name}: θ is never beyond {:.3}°: is the table's column in radians?", largest_rad.to_degrees());
+    }
     let middle_s = observed.time_s.last().map_or(0.0, |end| 0.5 * end);
     let apparent = apparent_delay(args, &observed, &held, plant, own_clock.then_some(middle_s));
     let delay_s = match (args.delay, &apparent) {
@@ -269,8 +275,9 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     let zero = apparent.as_ref().and_then(|delay| delay.zero).filter(|_| args.detrend() == Detrend::None);
     if let Some(zero) = zero.filter(Zero::is_off) {
         tracing::warn!(
-            "{name}: the zero of θ is off by {:.3} ± {:.3}°, by a model of second order: a wrong base frame, or a \
-             catheter that does not hang straight? It is taken off; --zero exact leaves θ as it is",
+            "{name}: the zero of θ is off by {:.3} ± {:.3}°, by a model of second order: a wrong base frame, a \
+             catheter that does not hang straight, or an offset of the currents? It is taken off, which does not help \
+             against an offset of the currents; --zero exact leaves θ as it is",
             zero.offset.to_degrees(),
             zero.sd.to_degrees()
         );
