@@ -215,7 +215,9 @@ fn another_gain_and_another_unit_of_the_angle_are_told() {
     let told = |records: &[PathBuf], currents: &[PathBuf]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
         command.arg("identify").args(records).arg("--plant").arg(sample("plant.toml"));
-        currents.iter().for_each(|currents| drop(command.arg("--currents").arg(currents)));
+        for currents in currents {
+            command.arg("--currents").arg(currents);
+        }
         let output = command.args(["--order", "4", "--bootstrap", "0", "-o"]).arg(folder.path().join("out")).output();
         let text = String::from_utf8_lossy(&output.unwrap().stderr).into_owned();
         std::fs::remove_dir_all(folder.path().join("out")).unwrap_or_default();
