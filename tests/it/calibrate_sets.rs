@@ -298,7 +298,11 @@ fn pictures_that_are_all_flipped_contradict_a_lens_that_is_off_the_middle() {
     }
     let doubt = "doubt: the pictures contradict the lens as it was given";
     let tank = ["--tank", "254x254x267mm"];
-    holds(&set.rig(&["flipped"], &tank), 0, &[doubt, "Were pictures flipped or turned, or taken with another lens, focus or zoom?"]);
+    holds(
+        &set.rig(&["flipped"], &tank),
+        0,
+        &[doubt, "Were pictures flipped or turned, or taken with another lens, focus or zoom?"],
+    );
 }
 
 #[test]
