@@ -100,6 +100,23 @@ fn holds(output: &Output, code: i32, parts: &[&str]) {
     assert!(!printed.contains("panicked"), "{printed}");
 }
 
+/// By 2 %: one lens explains both halves as well, with boards at other depths.
+#[test]
+fn a_zoom_that_was_moved_midway_is_told() {
+    let all: Vec<usize> = (0..14).collect();
+    let set = Set::changed("intrinsics", &all, |i, picture| {
+        if i < 7 {
+            return picture;
+        }
+        let (width, height) = (picture.width(), picture.height());
+        let large = [width, height].map(|side| (f64::from(side) * 1.02).round() as u32);
+        let large = picture.resize_exact(large[0], large[1], image::imageops::FilterType::CatmullRom);
+        large.crop_imm((large.width() - width) / 2, (large.height() - height) / 2, width, height)
+    });
+    let told = "two groups with different lenses";
+    holds(&set.camera(&["set"], &[]), 0, &[told, "One group: 00.png, 01.png, 02.png, 03.png, 04.png, 05.png, 06.png"]);
+}
+
 /// Poses of a board in air, all over the picture; `tilt` and `depth` scale how much they differ.
 fn in_air(count: usize, tilt: f64, depth_m: f64) -> Vec<Isometry3<f64>> {
     let at = |i: usize| {
