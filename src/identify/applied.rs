@@ -6,7 +6,7 @@
 use super::chain::fits;
 use super::data::{Data, Segment};
 use super::diagnostics::slow;
-use super::fit::{InitialState, Kind, output};
+use super::fit::{InitialState, best_gain};
 use super::identification::Fit;
 use super::modelled::{Modelled, Role};
 use super::saved::Saved;
@@ -79,7 +79,7 @@ pub(crate) fn apply(
     applied.fits = fits(&[], &data.validation, &applied.models, initial_state);
     if let Some(leading) = applied.leading().cloned() {
         for record in &data.validation {
-            let gain = best_gain(&leading, &record.segments, initial_state);
+            let gain = best_gain(&leading.model, &record.segments, initial_state);
             if (gain - 1.0).abs() > GAIN_TOLERANCE {
                 applied.notes.push(format!(
                     "{}: {} would fit best times {gain:.3}: other units, another coil, or another system?",
@@ -90,19 +90,6 @@ pub(crate) fn apply(
         }
     }
     Ok(applied)
-}
-
-/// The factor with which a model's output would fit best, Σ y ŷ / Σ ŷ².
-pub(super) fn best_gain(model: &Modelled, segments: &[Segment], initial_state: InitialState) -> f64 {
-    let (mut product, mut energy) = (0.0, 0.0);
-    for segment in segments {
-        let modelled = output(&model.model, segment, Kind::Simulation(initial_state));
-        for (y, m) in segment.output.iter().zip(&modelled).filter(|(y, _)| !y.is_nan()) {
-            product += y * m;
-            energy += m * m;
-        }
-    }
-    product / energy
 }
 
 #[cfg(test)]

@@ -1,10 +1,9 @@
 //! Warnings to read before using the numbers.
 
-use super::applied::best_gain;
 use super::continuous::Conversion;
 use super::data::{Data, Record};
 use super::diagnostic::Diagnostic;
-use super::fit::{InitialState, Kind};
+use super::fit::{InitialState, Kind, best_gain};
 use super::identification::{Fit, Identification};
 use super::jump::jump;
 use super::model::{Orders, angle};
@@ -216,7 +215,7 @@ fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
 /// Whether the records differ in their gain.
 fn other_gains(data: &Data, done: &Identification) -> Option<Diagnostic> {
     let model = done.leading().filter(|model| model.is_stable())?;
-    let gain = |record: &Record| (record.name.clone(), best_gain(model, &record.segments, InitialState::Rest));
+    let gain = |record: &Record| (record.name.clone(), best_gain(&model.model, &record.segments, InitialState::Rest));
     let gains: Vec<_> = data.training.iter().map(gain).filter(|(_, gain)| gain.is_finite()).collect();
     let least = gains.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
     let most = gains.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;

@@ -73,6 +73,19 @@ pub(crate) fn output(model: &Polynomials, segment: &Segment, kind: Kind) -> Vec<
     }
 }
 
+/// The factor with which a model's output would fit best, Σ y ŷ / Σ ŷ².
+pub(super) fn best_gain(model: &Polynomials, segments: &[Segment], initial_state: InitialState) -> f64 {
+    let (mut product, mut energy) = (0.0, 0.0);
+    for segment in segments {
+        let modelled = output(model, segment, Kind::Simulation(initial_state));
+        for (y, m) in segment.output.iter().zip(&modelled).filter(|(y, _)| !y.is_nan()) {
+            product += y * m;
+            energy += m * m;
+        }
+    }
+    product / energy
+}
+
 fn from_fitted_state(model: &Polynomials, segment: &Segment) -> Vec<f64> {
     let mut output = model.simulate(&segment.input);
     if let Some(free) = free_response(model, segment, &output) {
