@@ -7,8 +7,8 @@ use super::data::Record;
 use super::fit::{InitialState, Kind, output};
 use super::model::Polynomials;
 
-/// Part of the residual's variance that the two means must explain. Measured: up to 0.4 in records without a jump, whose
-/// slowest response is not modelled well.
+/// Part of the residual's variance that the two means must explain. Measured: up to 0.4 in records without a jump,
+/// whose slowest response is not modelled well.
 const MIN_EXPLAINED: f64 = 0.7;
 /// Difference of the means over the standard deviation of the output, below which it hardly matters.
 const MIN_PART: f64 = 0.05;

@@ -111,8 +111,8 @@ impl Draft {
         of_rig().or_else(of_camera).filter(|variance| *variance >= 0.0).map(f64::sqrt)
     }
 
-    /// The doubts that calibrations recorded about what they found: the step (`rig`, `mirror`), and each of
-    /// its doubts.
+    /// The doubts that calibrations recorded about what they found: the step (`rig`, `mirror`, `base`), and each of its
+    /// doubts.
     pub fn noted_doubts(&self) -> impl Iterator<Item = (&str, &str)> {
         self.provenance.iter().flat_map(|(step, noted)| {
             let doubts = noted.get("doubts").and_then(toml::Value::as_array);

@@ -114,7 +114,7 @@ pub enum Warning {
     NoBlur,
     /// A calibration had a doubt about its own result.
     Doubt {
-        /// Its step: `rig` or `mirror`.
+        /// Its step: `rig`, `mirror` or `base`.
         step: String,
         /// The doubt.
         what: String,

@@ -325,17 +325,12 @@ fn positions(folder: &Path, names: &[String]) -> Vec<u64> {
     let jump = names.iter().zip(names.iter().skip(1)).zip(steps()).find(|(_, step)| *step != usual);
     let Some(((before, after), _)) = jump else { return in_a_row() };
     let place = folder.display();
-    let lost = steps().sum::<u64>().checked_div(usual).map(|last| (last + 1).saturating_sub(count));
+    let [first, .., last] = numbers[..] else { return in_a_row() };
+    let lost = last.saturating_sub(first).checked_div(usual).map(|last| (last + 1).saturating_sub(count));
     match lost.filter(|lost| *lost < count && steps().all(|step| step.is_multiple_of(usual))) {
         Some(lost) => {
             tracing::warn!("{place}: {before} is followed by {after}; missing numbers count as lost pictures: {lost}");
-            std::iter::once(0)
-                .chain(steps())
-                .scan(0, |at, step| {
-                    *at += step / usual;
-                    Some(*at)
-                })
-                .collect()
+            numbers.iter().map(|number| (number - first) / usual).collect()
         }
         None => {
             tracing::warn!(

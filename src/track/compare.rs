@@ -414,7 +414,6 @@ impl Comparison {
     /// The equations of `before` with the gradient of the model as it was rendered.
     pub(crate) fn gradient(&mut self, before: &Normal, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
-        self.recycle();
         let scores = self.scores(scene);
         let Patch { spans, cells, .. } = &self.memory.patch;
         let mut sums = vec![[0.0; ROW]; spans.len()];
@@ -429,6 +428,7 @@ impl Comparison {
 
     /// What the scatter of the residuals is judged by, of the model as it was rendered.
     fn scores(&mut self, scene: &Scene<'_>) -> Scores {
+        self.recycle();
         let (cells, coded) = (std::mem::take(&mut self.memory.cells), std::mem::take(&mut self.memory.coded));
         let mut scores = Scores::new(&self.memory.patch, scene, cells, coded);
         self.derive(scene, |_, part| scores.add(part));

@@ -1,12 +1,12 @@
 //! Notices a camera, mirror or tank that was moved during the run, by a knock or little by little, seen at the base
 //! band, which rests but for what the tube bends it.
 //!
-//! Method. Where the band was in its first frames, and a line over the direction of the coil through there, with which a
-//! band that is not quite at the clamp moves, tell where it should be. The line's slope is fitted to all positions, but
-//! only to how they differ within a second or two, so that it does not take a creep for rest. The mean of the latest
-//! positions is compared with this line. Both have the same errors of rig and image model. By how much it is off is the
-//! error of all positions, if the rig still is where it was at first, and belongs into their covariance; the slope stays
-//! as it is as long as it is off. While the coil is not seen, its direction is any of those before.
+//! Method. Where the band was in its first frames, and a line over the direction of the coil through there, with which
+//! a band that is not quite at the clamp moves, tell where it should be. The line's slope is fitted to all positions,
+//! but only to how they differ within a second or two, so that it does not take a creep for rest. The mean of the
+//! latest positions is compared with this line. Both have the same errors of rig and image model. By how much it is off
+//! is the error of all positions, if the rig still is where it was at first, and belongs into their covariance; the
+//! slope stays as it is as long as it is off. While the coil is not seen, its direction is any of those before.
 //!
 //! Cannot tell: moves before the run or that the base band does not see (the tally's drift alarms see some of them);
 //! which of both moments the rig is right for; all of a move among the first frames; anything before the coil was seen
@@ -28,7 +28,7 @@ const ALIKE: f64 = 15.0;
 /// Prior σ of how far the band moves when the coil turns, metres per radian: a fiftieth of a tube's length.
 const BENT_M: f64 = 2e-3;
 /// Square of the distance over the covariance of a single position beyond which the band has moved. Measured where
-/// nothing moved: up to 0.6 in lossless recordings, up to 7 in coded ones.
+/// nothing moved, from a line through all earlier positions: up to 0.6 in lossless recordings, up to 7 in coded ones.
 const MIN_CHI2: f64 = 12.0;
 /// The same below which a band that had moved is back.
 const BACK_CHI2: f64 = 1.0;

@@ -25,11 +25,11 @@ pub(super) const COLOURS_LAG: &str = "colours lag behind the brightness of what 
      into the chroma of these (noise reduction over time), so bands are measured too late; σ is widened by as much: \
      record without it";
 pub(super) const OUT_OF_ORDER: &str = "two of the last ten pictures, or more, are in the wrong order, by the way the \
-     bands move: rows there are wrong, and σ does not cover that; only the first such place is named: restore the order, \
-     or leave these pictures out";
+     bands move: rows there are wrong, and σ does not cover that; only the first such place is named: restore the \
+     order, or leave these pictures out";
 pub(super) const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or \
-     clamp vibrate, or the pictures were processed; σ of all positions is widened by as much, but not that of directions and θ, \
-     which hold if the whole picture moves alike (waves in one view do not)";
+     clamp vibrate, or the pictures were processed; σ of all positions is widened by as much, but not that of \
+     directions and θ, which hold if the whole picture moves alike (waves in one view do not)";
 pub(super) const MOVED: &str = "the base band, which should rest, is not where it was in the first frames: camera, \
      mirror, tank or clamp have moved since, or the band is too far from its clamp; σ of all positions is widened by \
      as much, but not that of directions and θ, which hold if the whole picture moved alike";

@@ -1,5 +1,5 @@
-//! How much memory a frame allocates once the first frames are tracked: what selects and compares pixels uses the memory
-//! of earlier frames again.
+//! How much memory a frame allocates once the first frames are tracked: what selects and compares pixels uses the
+//! memory of earlier frames again.
 
 use crate::support::command::{rig, sample};
 use allocation_counter::{AllocationInfo, measure};

@@ -183,7 +183,7 @@ fn a_band_of_another_length_is_noticed() {
     let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     let told = said.split("band `coil` looks about ").nth(1).and_then(|rest| rest.split_once(" mm long, not 6.0 mm"));
     let looks: Option<f64> = told.and_then(|(mm, _)| mm.parse().ok());
-    assert!(looks.is_some_and(|mm| mm > 8.0), "{said}");
+    assert!(looks.is_some_and(|mm| mm >= 9.0), "{said}");
     // Half a millimetre is one pixel.
     let output = bench.pick("planar", [BASE, "coil@431,565:12.5mm", TIP]);
     let said = ended_with(&output, 0);

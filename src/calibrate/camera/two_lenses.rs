@@ -8,8 +8,8 @@
 //! moves to the lens with the smaller residual, until none changes. Any set can be split like this; two lenses are
 //! reported only if they differ by more than their covariances, which include the scatter of one camera's pictures, and
 //! fit the corners better than one. Where they fit no better, because depth makes up for a change of focus or zoom, the
-//! pictures before and after some moments in their order are compared: of so few splits none is chosen to differ, so that
-//! focal lengths that differ clearly are enough.
+//! pictures before and after some moments in their order are compared: of so few splits none is chosen to differ, so
+//! that focal lengths that differ clearly are enough.
 //!
 //! Cannot tell: groups of fewer than four clusters; lenses that differ less than other errors of the pictures. Of
 //! OpenCV's twelve pictures of one camera, half of them enlarged, in any order, is detected at 5 %, at 3 % hardly. For
@@ -63,15 +63,9 @@ fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> 
         }
     }
     let at = |part: f64| {
-        let (before, after) = order.split_at_checked((part * order.len() as f64).round() as usize)?;
-        if before.len().min(after.len()) < MIN_CLUSTERS {
-            return None;
-        }
-        let pictures =
-            |of: &[usize]| (0..solved.clusters.len()).filter(|i| of.contains(&solved.clusters[*i])).collect();
-        let groups: [Vec<usize>; 2] = [pictures(before), pictures(after)];
-        let [a, b] = groups.each_ref().map(|group| solved.of_pictures(group, corners).solve().ok());
-        let (a, b) = (a?, b?);
+        let (before, _) = order.split_at_checked((part * order.len() as f64).round() as usize)?;
+        let first: Vec<bool> = (0..solved.parts.len()).map(|cluster| before.contains(&cluster)).collect();
+        let (groups, [a, b]) = solved_apart(solved, corners, &first)?;
         let lenses = [a.geometry.lens, b.geometry.lens];
         let off = lenses[0].focal_px - lenses[1].focal_px;
         // The focal lengths come first.
@@ -171,19 +165,26 @@ fn settled(parts: &[Part], mut first: Vec<bool>) -> Option<(f64, Vec<bool>)> {
     best
 }
 
+/// The pictures of the clusters in the `first` group and those of the others, each group solved by itself; `None` where
+/// one is too small, or has no solution.
+fn solved_apart(solved: &Solution, corners: &[Corner], first: &[bool]) -> Option<([Vec<usize>; 2], [Solution; 2])> {
+    if [true, false].iter().any(|which| first.iter().filter(|first| *first == which).count() < MIN_CLUSTERS) {
+        return None;
+    }
+    let pictures = solved.clusters.iter().enumerate();
+    let group = |which: bool| {
+        pictures.clone().filter(|(_, cluster)| first.get(**cluster) == Some(&which)).map(|(i, _)| i).collect()
+    };
+    let groups: [Vec<usize>; 2] = [group(true), group(false)];
+    let of = |group: &Vec<usize>| solved.of_pictures(group, corners).solve().ok();
+    let solutions = [of(&groups[0])?, of(&groups[1])?];
+    Some((groups, solutions))
+}
+
 fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<Split> {
     let mut best: Option<Split> = None;
     for _ in 0..MAX_ROUNDS {
-        if [true, false].iter().any(|which| first.iter().filter(|first| *first == which).count() < MIN_CLUSTERS) {
-            break;
-        }
-        let pictures = solved.clusters.iter().enumerate();
-        let group = |which: bool| {
-            pictures.clone().filter(|(_, cluster)| first.get(**cluster) == Some(&which)).map(|(i, _)| i).collect()
-        };
-        let groups: [Vec<usize>; 2] = [group(true), group(false)];
-        let of = |group: &Vec<usize>| solved.of_pictures(group, corners).solve().ok();
-        let (Some(a), Some(b)) = (of(&groups[0]), of(&groups[1])) else { break };
+        let Some((groups, [a, b])) = solved_apart(solved, corners, &first) else { break };
         let [by_a, by_b] = [&a, &b].map(|lens| squares(solved, &lens.geometry.lens, corners));
         let (Some(by_a), Some(by_b)) = (by_a, by_b) else { break };
         let left = by_a.iter().zip(&by_b).map(|(a, b)| a.min(*b)).sum();

@@ -47,8 +47,8 @@ pub enum Diagnostic {
     /// Wrong lengths.
     #[error(
         "lengths of {nominal_mm:.0} mm on held-out boards are off {times:.1} times as much as noise explains: is a \
-         board bent, or its print stretched along one side? Was it moved during the exposure, or camera, mirror or tank \
-         between two pictures?"
+         board bent, or its print stretched along one side? Was it moved during the exposure, or camera, mirror or \
+         tank between two pictures?"
     )]
     Lengths {
         /// The length.

@@ -138,8 +138,8 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
 fn one_sided(args: &BaseArgs, range_rad: [f64; 2]) -> String {
     let [low, high] = range_rad.map(f64::to_degrees);
     format!(
-        "the swing goes from {low:.1}° to {high:.1}° about the direction in {}: was the catheter held deflected there, by a \
-         current that was left on? Then z, the zero of θ and x are wrong",
+        "the swing goes from {low:.1}° to {high:.1}° about the direction in {}: was the catheter held deflected \
+         there, by a current that was left on? Then z, the zero of θ and x are wrong",
         args.rest.display()
     )
 }

@@ -230,7 +230,8 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     }
     let largest_rad = observed.theta_rad.iter().flatten().fold(0.0, |largest: f64, theta| largest.max(theta.abs()));
     if largest_rad < LEAST_DEGREES.to_radians() {
-        tracing::warn!("{name}: θ is never beyond {:.3}°: is the table's column in radians?", largest_rad.to_degrees());
+        let largest = largest_rad.to_degrees();
+        tracing::warn!("{name}: θ is never beyond {largest:.3}°: is the table's column in radians?");
     }
     let middle_s = observed.time_s.last().map_or(0.0, |end| 0.5 * end);
     let apparent = apparent_delay(args, &observed, &held, plant, own_clock.then_some(middle_s));
