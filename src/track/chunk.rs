@@ -208,6 +208,11 @@ impl Chunk {
         std::array::from_fn(|i| weights[0] * r.0[i] + weights[1] * g.0[i] + weights[2] * b.0[i])
     }
 
+    /// Distances from the axis when last evaluated, half widths.
+    pub(crate) fn across(&self, piece: &Piece) -> [f32; CHUNK] {
+        std::array::from_fn(|i| self.u.0[i] / at(piece.half, self.f.0[i]))
+    }
+
     /// Change of such a value per unit of light, R, G and B, at a point.
     #[inline(always)]
     fn slopes(&self, i: usize, weights: &[f32; 3]) -> [f32; 3] {

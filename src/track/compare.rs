@@ -5,6 +5,7 @@
 
 use crate::source::Picture;
 use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
+use crate::track::equations::Eliminated;
 use crate::track::fields::RowShift;
 use crate::track::fringes::Pair;
 use crate::track::grain::Differences;
@@ -15,6 +16,7 @@ use crate::track::patch::{Layer, Patch, Shown};
 use crate::track::places::Density;
 use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy};
+use crate::track::widths::{Sum, Width, widths};
 use multiversion::multiversion;
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use std::ops::Range;
@@ -36,6 +38,7 @@ pub(crate) struct Scattered {
     /// Variance of a coder's errors over that of the noise the samples are weighed by: mean, weighted by each sample's
     /// information about the band's position.
     pub coded: f64,
+    pub widths: Vec<Width>,
 }
 
 /// Some points of a layer that are evaluated together.
@@ -179,6 +182,8 @@ struct Scores {
     /// Information about the band's position, and by cell and channel the same times the weights.
     said: f64,
     coded: Vec<[f32; 3]>,
+    /// Of each span.
+    widths: Vec<Sum>,
 }
 
 impl Scores {
@@ -189,11 +194,13 @@ impl Scores {
         coded.clear();
         coded.resize(patch.cells.len(), [0.0; 3]);
         let slips = Slips::new(scene.layout, patch.spans.len());
-        Self { cells, slips, rows: RowShift::default(), colours: Pair::default(), said: 0.0, coded }
+        let widths = vec![Sum::default(); patch.spans.len()];
+        Self { cells, slips, rows: RowShift::default(), colours: Pair::default(), said: 0.0, coded, widths }
     }
 
     fn add(&mut self, part: &Part<'_>) {
         self.said += add_to_cells(&mut self.cells, &mut self.coded, part);
+        add_to_width(&mut self.widths[part.span], part);
         if part.apart {
             add_to_slips(&mut self.slips, part);
         } else {
@@ -214,6 +221,8 @@ struct Part<'a> {
     ring: usize,
     points: Range<usize>,
     seen: Seen,
+    /// Distances from the axis, half widths.
+    x: [f32; CHUNK],
     /// The stored channel, and whether it is stored apart from the pixels.
     channel: u8,
     apart: bool,
@@ -381,6 +390,7 @@ impl Comparison {
                             ring,
                             points,
                             seen,
+                            x: chunk.across(&piece),
                             channel,
                             apart,
                             colour,
@@ -444,10 +454,12 @@ impl Comparison {
         scene: &Scene<'_>,
         of_shape: &SMatrix<f64, SHAPE, SHAPE>,
         of_colours: &ShapeBy,
+        view: &Eliminated,
         coder_variances: impl Fn([u32; 2]) -> [f64; 3],
     ) -> Scattered {
         let known = self.scores.take();
-        let Scores { cells, mut slips, rows, colours, said, coded } = known.unwrap_or_else(|| self.scores(scene));
+        let Scores { cells, mut slips, rows, colours, said, coded, widths: width_sums } =
+            known.unwrap_or_else(|| self.scores(scene));
         let Memory { patch, squares, variances, .. } = &mut self.memory;
         let Patch { spans, cells: places, squares: pixels, .. } = &*patch;
         let Scene { image, layout, .. } = *scene;
@@ -470,9 +482,10 @@ impl Comparison {
             coded.iter().zip(variances[*square]).map(|(coded, variance)| f64::from(*coded) * variance).sum()
         };
         let coded_sum: f64 = places.iter().zip(&coded).map(of_cell).sum();
+        let widths = widths(spans, &width_sums, layout, view);
         (self.memory.cells, self.memory.coded) = (cells, coded);
         let coded = if said > 0.0 { coded_sum / said } else { 0.0 };
-        Scattered { covariance, slips, rows, colours, coded }
+        Scattered { covariance, slips, rows, colours, coded, widths }
     }
 
     /// Differences between the residuals of neighbouring pixels in a row of the background, in the first channel.
@@ -518,6 +531,24 @@ fn add_to_rows(rows: &mut RowShift, part: &Part<'_>) {
         information += weighed * across;
     }
     rows.add(pull, information);
+}
+
+/// Adds samples to what their span shows of the tube's width.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn add_to_width(sum: &mut Sum, part: &Part<'_>) {
+    if part.seen == Seen::Nothing {
+        return;
+    }
+    let (mut information, mut pull) = (0.0, 0.0);
+    for ((row, residual, weight, _), x) in part.samples().zip(&part.x) {
+        let by = shifted(row, part.seen)[0] * x;
+        let weighed = weight * by;
+        information += weighed * by;
+        pull += weighed * residual;
+        add_row(&mut sum.rows, row, part.seen, weighed);
+    }
+    sum.information += f64::from(information);
+    sum.pull += f64::from(pull);
 }
 
 /// How far samples lie from the model, across the tube and along it: Σ w t tᵀ (three elements) and Σ w r t.

@@ -39,7 +39,7 @@ impl Round<'_> {
                 steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
             };
             let scene = Scene::new(image, turns, colours, stretch, model);
-            let scattered = view.comparison.scatter(&scene, &plain, &of_colours, coder_variances);
+            let scattered = view.comparison.scatter(&scene, &plain, &of_colours, eliminated, coder_variances);
             (scattered, may_be_coded(picture).then(|| view.comparison.differences()))
         });
         let (scatter, grain): (Vec<_>, Vec<_>) = scatter.unzip();
@@ -69,7 +69,9 @@ impl Round<'_> {
             let (residual_px, covariance) = own;
             let residual_covariance_px2 = covariance * inflation;
             let rms = rms(&normal.squares);
-            let Scattered { slips, rows, colours: colour_shifts, .. } = scattered;
+            let Scattered { slips, rows, colours: colour_shifts, mut widths, coded, .. } = scattered;
+            // Their errors are correlated as those of the shape.
+            widths.iter_mut().for_each(|width| width.sd_px *= (inflation + coded).sqrt());
             ViewFit {
                 image,
                 look,
@@ -81,6 +83,7 @@ impl Round<'_> {
                 rows,
                 colour_shifts,
                 grain,
+                widths,
             }
         });
         Ok(TubeFit {

@@ -62,6 +62,11 @@ impl Eliminated {
         ShapeBy::from_columns(&rows.iter().map(unpadded).collect::<Vec<_>>())
     }
 
+    /// cᵀ C⁻¹ c.
+    pub(crate) fn explained(&self, of_colours: &DVector<f64>) -> f64 {
+        self.colours.l_dirty().solve_lower_triangular(of_colours).map_or(f64::INFINITY, |half| half.norm_squared())
+    }
+
     /// L⁻¹ c, and X C⁻¹ c.
     fn halved(&self, gradient: &DVector<f64>) -> Option<(DVector<f64>, ShapeStep)> {
         let halved = self.colours.l_dirty().solve_lower_triangular(gradient)?;

@@ -24,6 +24,7 @@ use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, TubeShape};
 use crate::track::tube_image::{Sweep, TubeImage};
 use crate::track::view::{Selection, View, Weighing};
+use crate::track::widths::Width;
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use rayon::prelude::*;
 
@@ -63,6 +64,8 @@ pub(crate) struct ViewFit {
     pub colour_shifts: Pair,
     /// Noise of the background, in pictures of which no more is known.
     pub grain: Option<Differences>,
+    /// Of each band of the stretch.
+    pub widths: Vec<Width>,
 }
 
 /// The fitted stretch.
@@ -337,6 +340,27 @@ mod tests {
             let off_m = [0.0, 22e-3].map(|s| (far.shape.at(s).0 - near.shape.at(s).0).norm());
             let sd_m = near.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
             assert!(off_m.iter().all(|off| *off < 0.5 * sd_m), "{aside} m, {turned}: off by {off_m:?} m, σ {sd_m} m");
+        }
+    }
+
+    /// Drawn with another radius than that of the fit. (Of large differences it tells only the sign: light is not linear in
+    /// what is stored.)
+    #[test]
+    fn bands_look_as_wide_as_the_tube_is() {
+        let start = TubeShape::straight(Tube::along(Vector3::y()).centre, &Vector3::new(0.1, 1.0, 0.05), 6e-3);
+        for (beyond, sensor) in [(0.0, Sensor::IDEAL), (0.03, Sensor::IDEAL), (-0.03, Sensor::default())] {
+            let tube = Tube { radius_m: 1.6e-3 * (1.0 + beyond), ..Tube::along(Vector3::new(0.1, 1.0, 0.05)) };
+            let found = fit(&stretch(), &start, &tube.picture(sensor, 3), None).unwrap();
+            for view in &found.views {
+                let expected_px = beyond * view.image.at_arc(0.0).half_width;
+                assert_eq!(view.widths.len(), 2);
+                for width in &view.widths {
+                    let off_px = (width.beyond_px - expected_px).abs();
+                    let most_px = 0.02 + 0.4 * expected_px.abs();
+                    assert!(off_px < most_px, "{beyond}: {width:?}, expected {expected_px} px");
+                    assert!(width.sd_px < 0.05, "{width:?}");
+                }
+            }
         }
     }
 

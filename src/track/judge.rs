@@ -9,6 +9,7 @@ use crate::track::light::Encoding;
 use crate::track::separation;
 use crate::track::slip::Seen;
 use crate::track::usual::Usual;
+use crate::track::widths::UsualWidths;
 use nalgebra::Vector2;
 
 /// Residuals and sizes of a band's blobs may exceed the usual by this many standard deviations, all views together;
@@ -16,6 +17,9 @@ use nalgebra::Vector2;
 const MAX_UNUSUAL_SD: f64 = 4.5;
 /// Cap on the size's part: alone it is no evidence, as it also changes with light and motion.
 const MAX_SIZE_TERM: f64 = 3.0;
+/// Widths that differ from the usual by fewer standard deviations are chance, as are all of these together. Beyond it
+/// the errors are larger than the fit knows: with an edge before part of a band, up to the limit, by about as many times.
+const CHANCE_SD: f64 = 1.5;
 
 /// Frames over which the disagreement of the views is averaged.
 const DISAGREEMENT_FRAMES: f64 = 8.0;
@@ -31,6 +35,10 @@ pub(crate) struct Judge {
     pub usual: Usual,
     /// Ratio of a band's expected size to its blob's.
     usual_size: Usual,
+    /// Widths of each band in each view.
+    usual_widths: UsualWidths,
+    /// For each marker, the reference of the stretch that it was last part of and whose residuals are known.
+    stretch: Vec<usize>,
     /// Of the fits of each reference marker: mean disagreement of the views, as χ² per degree of freedom.
     disagreement: Vec<f64>,
     slip: Seen,
@@ -43,6 +51,8 @@ impl Judge {
         Self {
             usual: Usual::learned(rig),
             usual_size: Usual::new(rig),
+            usual_widths: UsualWidths::new(rig),
+            stretch: (0..rig.markers.len()).collect(),
             disagreement: vec![1.0; rig.markers.len()],
             slip: Seen::default(),
             mean_slip_px: Vector2::zeros(),
@@ -87,10 +97,23 @@ impl Judge {
             let signs = views.iter().zip(&fit.views).zip(&sizes).map(|((&v, view), size)| {
                 let of_size =
                     size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size, 0.0)).min(MAX_SIZE_TERM);
-                self.usual.above(group.reference, v, view.rms, common).hypot(of_size)
+                let half_px = view.image.at_arc(0.0).half_width;
+                let of_widths = group.members.iter().zip(&view.widths).map(|((marker, _), width)| {
+                    (self.usual_widths.unusual_sd(*marker, v, width, half_px) - CHANCE_SD).max(0.0)
+                });
+                let of_widths = of_widths.fold(0.0, f64::max);
+                // Of a band that is alone for the first time, what was seen of it together with others.
+                let alike = self.stretch[group.reference];
+                let of_residuals = match self.usual.is_known(group.reference, v) || alike == group.reference {
+                    true => self.usual.above(group.reference, v, view.rms, common),
+                    false => self.usual.above_alike(alike, v, view.rms),
+                };
+                of_residuals.hypot(of_size).hypot(of_widths)
             });
             let signs: Vec<f64> = signs.collect();
-            if signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt() > MAX_UNUSUAL_SD
+            let all = signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt();
+            fit.covariance *= 1.0 + (all - CHANCE_SD).max(0.0).powi(2);
+            if all > MAX_UNUSUAL_SD
                 && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
             {
                 let view = &fit.views[i];
@@ -100,9 +123,16 @@ impl Judge {
             }
             for ((v, view), size) in views.iter().zip(&fit.views).zip(sizes) {
                 self.usual.add(group.reference, *v, view.rms);
+                let half_px = view.image.at_arc(0.0).half_width;
+                for ((marker, _), width) in group.members.iter().zip(&view.widths) {
+                    self.usual_widths.add(*marker, *v, width, half_px);
+                }
                 if let Some(size) = size {
                     self.usual_size.add(group.reference, *v, size);
                 }
+            }
+            if views.iter().all(|v| self.usual.is_known(group.reference, *v)) {
+                group.members.iter().for_each(|(marker, _)| self.stretch[*marker] = group.reference);
             }
         }
     }

@@ -48,6 +48,7 @@ mod tube_image;
 mod usual;
 mod view;
 mod warnings;
+mod widths;
 
 pub use coil::deflection;
 pub(crate) use coil::{theta_derivative, theta_derivative_by_turn};

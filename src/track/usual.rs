@@ -24,6 +24,10 @@ const SAME_NOISE: f64 = 0.1;
 const LEARNED_SD: f64 = 0.12;
 /// Least standard deviation assumed: 5 % or less is chance.
 const MIN_SD: f64 = 0.05;
+/// Values beyond this many standard deviations count as if they were there: what comes slowly, as an edge that a band
+/// drifts towards, must not become usual by and by. (With 2, pictures blended with those before are refused when the
+/// catheter begins to swing; with 2.8, a white edge that creeps by 0.06 pixels in each frame passes.)
+const HELD_SD: f64 = 2.5;
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Level {
@@ -92,6 +96,17 @@ impl Usual {
         ((value.ln() - mean) / sd).max(0.0)
     }
 
+    /// The same by what was seen of another marker that looks about alike; 0 if too little was.
+    pub(crate) fn above_alike(&self, marker: usize, view: usize, value: f64) -> f64 {
+        let seen = self.level(marker, view).and_then(Level::seen);
+        seen.map_or(0.0, |(mean, sd)| ((value.ln() - mean) / sd.max(LEARNED_SD)).max(0.0))
+    }
+
+    /// Whether enough was seen of a marker in a view.
+    pub(crate) fn is_known(&self, marker: usize, view: usize) -> bool {
+        self.level(marker, view).is_some_and(|level| level.seen().is_some())
+    }
+
     /// Whether some values exceeded what was learned for as long as it counts.
     pub(crate) fn is_unlike_learned(&self) -> bool {
         self.levels.iter().flatten().any(|level| level.compared >= COMPARED_FRAMES)
@@ -122,8 +137,9 @@ impl Usual {
     /// Adds an accepted value.
     pub(crate) fn add(&mut self, marker: usize, view: usize, value: f64) {
         let Some(level) = self.levels.get_mut(marker).and_then(|views| views.get_mut(view)) else { return };
-        level.frames = (level.frames + 1.0).min(AVERAGED_FRAMES);
         let off = value.max(f64::MIN_POSITIVE).ln() - level.mean;
+        let off = level.seen().map_or(off, |(_, sd)| off.clamp(-HELD_SD * sd, HELD_SD * sd));
+        level.frames = (level.frames + 1.0).min(AVERAGED_FRAMES);
         level.mean += off / level.frames;
         level.variance += (off * off * (1.0 - 1.0 / level.frames) - level.variance) / level.frames;
     }
@@ -143,6 +159,25 @@ mod tests {
         }
         assert!(usual.above(1, 0, 5.2, 0.0) < 4.0 && usual.above(1, 0, 8.0, 0.0) > 4.0);
         assert!(usual.above(1, 1, 8.0, 0.0) < 1e-12 && usual.above(9, 9, 8.0, 0.0) < 1e-12);
+    }
+
+    #[test]
+    fn what_comes_slowly_does_not_become_usual() {
+        let mut usual = Usual::new(&fixture::rig());
+        let scattered = |i: i32| 4.0 + 0.1 * f64::from(i * 7 % 5 - 2);
+        (0..40).for_each(|i| usual.add(1, 0, scattered(i)));
+        for i in 0..40 {
+            usual.add(1, 0, scattered(i) * 1.015_f64.powi(i));
+        }
+        assert!(usual.above(1, 0, scattered(40) * 1.015_f64.powi(40), 0.0) > 4.5);
+    }
+
+    #[test]
+    fn a_marker_is_compared_with_another_that_looks_alike() {
+        let mut usual = Usual::new(&fixture::rig());
+        assert!(!usual.is_known(1, 0) && usual.above_alike(1, 0, 9.0) < 1e-12);
+        (0..40).for_each(|_| usual.add(1, 0, 4.0));
+        assert!(usual.is_known(1, 0) && usual.above_alike(1, 0, 5.0) < 2.0 && usual.above_alike(1, 0, 8.0) > 4.5);
     }
 
     #[test]
