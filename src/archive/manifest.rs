@@ -9,8 +9,8 @@
 //! | `name` | name of the run and of its folder; by default the recording's name without extension |
 //! | `options` | options of `track` for this line only, as on the command line |
 //!
-//! Further columns are passed on unchanged. A cell may be in quotes (`"`), and ends in its line. Empty lines are skipped. Everything is checked first: a mistake in any line
-//! is reported with its number, and nothing is started.
+//! Further columns are passed on unchanged. A cell may be in quotes (`"`), and ends in its line. Empty lines are
+//! skipped. Everything is checked first: a mistake in any line is reported with its number, and nothing is started.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io;
@@ -201,8 +201,7 @@ impl Manifest {
             let wrong = |reason: String| (line, reason);
             // A quote that is not closed takes the following lines into its cell, and their recordings with it.
             if record.iter().any(|cell| cell.contains(['\n', '\r'])) {
-                let open = "a cell begins with a \" that is not closed in this line: close it, or write it twice inside \
-                            of quotes (\"\"\"\")";
+                let open = "a cell begins with a \" that is not closed in this line: close it or leave it out";
                 return Err(wrong(open.to_owned()));
             }
             if record.iter().all(|cell| cell.trim().is_empty()) {

@@ -12,6 +12,8 @@ pub(crate) mod hash;
 mod manifest;
 mod staleness;
 pub(crate) mod study;
+#[cfg(test)]
+mod study_tests;
 mod summary;
 #[cfg(test)]
 mod summary_tests;

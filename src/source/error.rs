@@ -181,7 +181,8 @@ pub enum SourceError {
         reason: String,
     },
     /// A pipe or a device in place of a recording.
-    #[error("{}: is neither a file nor a folder; expected a recorded video, a folder of pictures or a log", path.display())]
+    #[error("{}: is neither a file nor a folder; expected a recorded video, a folder of pictures or a log",
+        path.display())]
     NoFile {
         /// What was named.
         path: PathBuf,

@@ -256,8 +256,8 @@ impl Attempt<'_> {
         self.over(&files, verdict.as_ref().err(), measured, (&rig.file, rig.warnings.clone()), frames)
     }
 
-    /// Records in its folder why it cannot be tracked. Complete results are left as they are: a recording on a disk that
-    /// is not mounted, or a rig that is being written, would take hours of work with them.
+    /// Records in its folder why it cannot be tracked. Complete results are left as they are: a recording on a disk
+    /// that is not mounted, or a rig that is being written, would take hours of work with them.
     fn refused(self, failure: &Failure, warnings: &[String]) -> Done {
         let Job { entry, options, folder } = self.job;
         let files = self.files();
