@@ -210,7 +210,7 @@ impl Files {
     /// lack must still be told: log and report have the budget too.
     pub(in crate::cli) fn add_budget_or_warn(&self, run: &Run, sources: &[Contribution]) {
         if let Err(failure) = self.add_budget(run, sources) {
-            tracing::warn!("{failure}; the error budget is missing in it");
+            tracing::warn!("{}; the error budget is missing in it", failure.message());
         }
     }
 
