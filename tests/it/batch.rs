@@ -318,7 +318,9 @@ fn complete_results_stay_when_recording_or_rig_are_not_there_for_a_moment() {
     fs::copy(sample("rest.mkv"), archive.path("rest.mkv")).unwrap();
     ended_with(&archive.track(""), 0);
     let before = timeless(&archive.path("runs"));
-    for (file, reason) in [("rest.mkv", "rest.mkv: no such file or folder"), ("rig.toml", "rig.toml: cannot be read")] {
+    for (file, reason) in
+        [("rest.mkv", "rest.mkv: no such file or folder"), ("rig.toml", "cannot read rig file rig.toml")]
+    {
         fs::rename(archive.path(file), archive.path("away")).unwrap();
         for words in ["", "--resume"] {
             let said = ended_with(&archive.track(words), 1);
