@@ -2,7 +2,10 @@
 
 fn main() -> std::process::ExitCode {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    give_back_pictures();
+    {
+        give_back_pictures();
+        fail_at_limits_of_files();
+    }
     catoptra::cli::run()
 }
 
@@ -14,4 +17,13 @@ fn give_back_pictures() {
     const BYTES: libc::c_int = 1 << 20;
     // SAFETY: a setting of the allocator, with a valid value, before there is a second thread.
     unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, BYTES) };
+}
+
+/// A file that may not grow (`ulimit -f`, a quota of the scheduler) gives an error as a full disk does, and the run is
+/// concluded; the signal that comes with it would kill the process.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[allow(unsafe_code, reason = "no safe binding to ignoring a signal")]
+fn fail_at_limits_of_files() {
+    // SAFETY: no handler is installed, the signal is ignored; before there is a second thread.
+    unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
 }

@@ -2,11 +2,12 @@
 //!
 //! In: the folder of a run. Out: the frames that are vetoed now. What was measured stays as it is; a veto that is taken
 //! back stays in the file, with the row that takes it back. Who reads a run leaves its vetoed frames out, and says how
-//! many there were.
+//! many there were. A frame is known by its stamp: numbers count from the first frame of a run, and the same recording
+//! may be tracked again from another moment on.
 
 use crate::atomic_file;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -44,9 +45,9 @@ pub(crate) struct Veto {
     written: String,
 }
 
-/// Frames that are vetoed now: number and stamp, and why.
+/// Frames that are vetoed now: their stamps in nanoseconds, and why.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct Vetoes(BTreeMap<(u64, i64), String>);
+pub(crate) struct Vetoes(BTreeMap<i64, String>);
 
 impl Vetoes {
     /// Those of the run in `folder`; none when there is no file.
@@ -56,11 +57,10 @@ impl Vetoes {
     pub(crate) fn read(folder: &Path) -> Result<Self, VetoError> {
         let mut standing = BTreeMap::new();
         for veto in rows(folder)? {
-            let frame = (veto.seq, veto.stamp_ns);
             if veto.status == VETOED {
-                standing.insert(frame, veto.comment);
+                standing.insert(veto.stamp_ns, veto.comment);
             } else {
-                standing.remove(&frame);
+                standing.remove(&veto.stamp_ns);
             }
         }
         Ok(Self(standing))
@@ -74,10 +74,25 @@ impl Vetoes {
         file.parent().map_or_else(|| Ok(Self::default()), Self::read)
     }
 
-    /// Why this frame is vetoed, if it is. A frame of the same number of another recording is another.
-    pub(crate) fn of(&self, seq: u64, stamp_ns: i64) -> Option<&str> {
-        self.0.get(&(seq, stamp_ns)).map(String::as_str)
+    /// Why the frame with this stamp is vetoed, if it is.
+    pub(crate) fn of(&self, stamp_ns: i64) -> Option<&str> {
+        self.0.get(&stamp_ns).map(String::as_str)
     }
+
+    /// What to say of the vetoes that are of none of these frames, if there are any: they change nothing.
+    pub(crate) fn without_frame(&self, stamps_ns: impl Iterator<Item = i64>) -> Option<String> {
+        let found: BTreeSet<i64> = stamps_ns.filter(|stamp_ns| self.0.contains_key(stamp_ns)).collect();
+        let lost: Vec<i64> = self.0.keys().filter(|stamp_ns| !found.contains(stamp_ns)).copied().collect();
+        let first = lost.first()?;
+        let vetoes = if lost.len() == 1 { "1 veto is".to_owned() } else { format!("{} vetoes are", lost.len()) };
+        let was = "the run may have been tracked again with another span or other times";
+        Some(format!("{FILE}: {vetoes} of no frame of this run (stamp_ns {first}{}): {was}", more(lost.len() - 1)))
+    }
+}
+
+/// How many more there are, if any.
+fn more(count: usize) -> String {
+    if count == 0 { String::new() } else { format!(" and {count} more") }
 }
 
 /// Vetoes a frame of the run in `folder`, or takes that back.
@@ -127,10 +142,16 @@ fn rows(folder: &Path) -> Result<Vec<Veto>, VetoError> {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => return Err(VetoError { path, problem: format!("cannot be read: {error}") }),
     };
-    csv::Reader::from_reader(bytes.as_slice())
-        .deserialize()
-        .collect::<Result<_, _>>()
-        .map_err(|e: csv::Error| foreign(&e))
+    let rows: Vec<Veto> =
+        csv::Reader::from_reader(bytes.as_slice()).deserialize().collect::<Result<_, _>>().map_err(|e| foreign(&e))?;
+    // A word that is not known may be meant to veto.
+    match rows.iter().find(|row| row.status != VETOED && row.status != RESTORED) {
+        Some(Veto { stamp_ns, status, .. }) => {
+            let problem = format!("the status of stamp_ns {stamp_ns} is `{status}`; expected {VETOED} or {RESTORED}");
+            Err(VetoError { path, problem })
+        }
+        None => Ok(rows),
+    }
 }
 
 #[cfg(test)]
@@ -143,7 +164,7 @@ mod tests {
         add(folder.path(), (7, 5), true, "a hand, \"in\" front\n<script>").unwrap();
         add(folder.path(), (9, 6), true, "bubble").unwrap();
         let standing = add(folder.path(), (7, 5), false, "it was another one").unwrap();
-        assert_eq!((standing.of(9, 6), standing.of(9, 7), standing.of(7, 5)), (Some("bubble"), None, None));
+        assert_eq!((standing.of(6), standing.of(7), standing.of(5)), (Some("bubble"), None, None));
         let written = rows(folder.path()).unwrap();
         assert_eq!((written.len(), written[0].comment.as_str()), (3, "a hand, \"in\" front\n<script>"));
         assert_eq!(Vetoes::beside(&folder.path().join("track.csv")).unwrap(), standing);
@@ -151,5 +172,23 @@ mod tests {
         let refused = add(folder.path(), (1, 1), true, "x").unwrap_err();
         assert!(refused.to_string().contains("expected a table"), "{refused}");
         assert_eq!(std::fs::read_to_string(folder.path().join(FILE)).unwrap(), "my,own\ntable,here\n");
+    }
+
+    #[test]
+    fn a_veto_is_of_the_moment_whatever_the_number_of_its_frame_and_is_never_passed_over() {
+        let folder = tempfile::tempdir().unwrap();
+        add(folder.path(), (7, 500), true, "bubble").unwrap();
+        add(folder.path(), (9, 600), true, "hand").unwrap();
+        // Tracked again from a later moment on, the same frame is number 2.
+        let standing = add(folder.path(), (2, 500), false, "no").unwrap();
+        assert_eq!((standing.of(500), standing.of(600)), (None, Some("hand")));
+        assert_eq!(standing.without_frame([400, 500, 600].into_iter()), None);
+        let said = standing.without_frame([400, 500].into_iter()).unwrap();
+        assert!(said.starts_with("vetoes.csv: 1 veto is of no frame of this run (stamp_ns 600):"), "{said}");
+        let path = folder.path().join(FILE);
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.replace("vetoed,hand", "Veto,hand")).unwrap();
+        let refused = Vetoes::read(folder.path()).unwrap_err().to_string();
+        assert!(refused.contains("the status of stamp_ns 600 is `Veto`; expected vetoed or restored"), "{refused}");
     }
 }

@@ -35,10 +35,15 @@ pub(crate) fn of_file(path: &Path) -> io::Result<String> {
 /// name. Hidden files and subfolders do not count.
 ///
 /// # Errors
-/// The system's, when it cannot be read.
+/// The system's, when it cannot be read, or is neither a file nor a folder.
 pub(crate) fn of_recording(path: &Path) -> io::Result<String> {
-    if !fs::metadata(path)?.is_dir() {
+    let found = fs::metadata(path)?;
+    if found.is_file() {
         return of_file(path);
+    }
+    // A pipe would be waited for.
+    if !found.is_dir() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "is neither a file nor a folder"));
     }
     let mut names = Vec::new();
     for entry in fs::read_dir(path)? {

@@ -9,8 +9,8 @@
 //! | `name` | name of the run and of its folder; by default the recording's name without extension |
 //! | `options` | options of `track` for this line only, as on the command line |
 //!
-//! Further columns are passed on unchanged. Empty lines are skipped. Everything is checked first: a mistake in any line
-//! is reported with its number, and nothing is started.
+//! Further columns are passed on unchanged. A cell may be in quotes (`"`), and ends in its line. Empty lines are
+//! skipped. Everything is checked first: a mistake in any line is reported with its number, and nothing is started.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io;
@@ -199,6 +199,11 @@ impl Manifest {
             let record = record.map_err(|error| (passed.of(begins(error.position())), error.to_string()))?;
             let line = passed.of(begins(record.position()));
             let wrong = |reason: String| (line, reason);
+            // A quote that is not closed takes the following lines into its cell, and their recordings with it.
+            if record.iter().any(|cell| cell.contains(['\n', '\r'])) {
+                let open = "a cell begins with a \" that is not closed in this line: close it or leave it out";
+                return Err(wrong(open.to_owned()));
+            }
             if record.iter().all(|cell| cell.trim().is_empty()) {
                 continue;
             }
@@ -276,6 +281,8 @@ mod tests {
             ("recording\tname\na\t/etc\n", 2, "leads to another folder"),
             ("recording\tname\na\t\n", 2, "the name is missing"),
             ("recording\n..\n", 2, "the name"),
+            ("recording\tnote\na\t\"bubble\nb\tfine\nc\t2\" tube\n", 2, "begins with a \" that is not closed"),
+            ("recording,note\na,x\nb,\"12 o'clock\n", 3, "begins with a \" that is not closed"),
         ] {
             let (found, reason) = parsed(text).unwrap_err();
             assert!(found == line && reason.contains(part), "{text:?}: {found}: {reason}");

@@ -12,6 +12,8 @@ pub(crate) mod hash;
 mod manifest;
 mod staleness;
 pub(crate) mod study;
+#[cfg(test)]
+mod study_tests;
 mod summary;
 #[cfg(test)]
 mod summary_tests;
@@ -20,7 +22,7 @@ pub(crate) mod transient;
 pub(crate) mod unusual;
 
 pub(crate) use manifest::{Entry, Manifest, ManifestError, default_name, is_name};
-pub(crate) use staleness::{CurrentInputs, Staleness, staleness};
+pub(crate) use staleness::{CurrentInputs, Staleness, is_complete, staleness};
 #[cfg(test)]
 pub(crate) use summary::Alarm;
 pub(crate) use summary::{

@@ -1,6 +1,6 @@
 //! [`staleness`]: whether the results in a folder are those that a run would give now, and why not.
 
-use super::{Hashes, Outcome, RunSummary, SUMMARY, SummaryError};
+use super::{Hashes, Outcome, RunSummary, SUMMARY, SummaryError, hash};
 use std::fmt;
 use std::path::Path;
 
@@ -20,7 +20,7 @@ pub(crate) enum Staleness {
     Unfinished,
     /// These inputs have changed.
     Changed(Vec<&'static str>),
-    /// A result file is missing or has another size.
+    /// A result file is missing or was changed.
     File(String),
     /// The summary cannot be parsed.
     Summary(String),
@@ -88,12 +88,29 @@ pub(crate) fn staleness(folder: &Path, now: &CurrentInputs) -> Staleness {
     if let Some(failure) = summary.failure.as_ref().filter(|failure| failure.retryable) {
         return Staleness::Failed(failure.message.lines().next().unwrap_or("").to_owned());
     }
-    let whole = |file: &super::FileRecord| {
-        let found = std::fs::metadata(folder.join(&file.name));
-        file.name == SUMMARY || found.is_ok_and(|found| found.is_file() && found.len() == file.bytes)
-    };
-    match summary.files.iter().find(|file| !whole(file)) {
-        Some(file) => Staleness::File(file.name.clone()),
+    match changed_file(folder, &summary) {
+        Some(name) => Staleness::File(name),
         None => Staleness::Same(Box::new(summary)),
     }
+}
+
+/// A result file that is missing or was changed, if there is one.
+fn changed_file(folder: &Path, summary: &RunSummary) -> Option<String> {
+    let whole = |file: &&super::FileRecord| {
+        let path = folder.join(&file.name);
+        let found = std::fs::metadata(&path);
+        let is_same = |then: &String| hash::of_file(&path).is_ok_and(|now| now == *then);
+        file.name == SUMMARY
+            || found.is_ok_and(|found| found.is_file() && found.len() == file.bytes)
+                && file.sha256.as_ref().is_none_or(is_same)
+    };
+    summary.files.iter().find(|file| !whole(file)).map(|file| file.name.clone())
+}
+
+/// Whether `folder` has complete results of the recording with this whole path, of whatever rig and options.
+pub(crate) fn is_complete(folder: &Path, recording: &str) -> bool {
+    let complete = |summary: &RunSummary| {
+        summary.outcome != Outcome::Failed && summary.recording == recording && changed_file(folder, summary).is_none()
+    };
+    RunSummary::read(folder).is_ok_and(|summary| summary.as_ref().is_some_and(complete))
 }

@@ -9,8 +9,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Greatest depth of folders searched.
-const DEPTH: usize = 4;
+/// Greatest depth of folders searched; what lies deeper is reported.
+const DEPTH: usize = 16;
 /// Rows in memory at a time.
 const ROWS: usize = 1 << 16;
 /// The option, and the column, that tells the frame of reference of positions and directions.
@@ -34,6 +34,10 @@ pub(crate) struct Study {
     pub(crate) unfinished: Vec<PathBuf>,
     /// Why runs are left out.
     pub(crate) left_out: Vec<LeftOut>,
+    /// Folders that lie too deep to be searched.
+    pub(crate) too_deep: Vec<PathBuf>,
+    /// What to say of the vetoes of runs.
+    pub(crate) vetoes: Vec<String>,
 }
 
 /// Why a run is left out of the archive.
@@ -70,13 +74,19 @@ impl Study {
     /// [`StudyError::Io`] when a folder cannot be read.
     pub(crate) fn find(folders: &[PathBuf]) -> Result<Self, StudyError> {
         let mut study = Self::default();
-        let mut known = BTreeSet::new();
+        let (mut known, mut searched) = (BTreeSet::new(), BTreeMap::new());
         for folder in folders {
-            study.look(folder, 0, &mut known)?;
+            study.look(folder, 0, &mut known, &mut searched)?;
         }
+        // A folder may have been reached a shorter way afterwards.
+        let is_searched = |folder: &PathBuf| folder.canonicalize().is_ok_and(|whole| searched.contains_key(&whole));
+        study.too_deep.retain(|folder| !is_searched(folder));
         for run in std::mem::take(&mut study.runs) {
             match check(&run) {
-                Ok(()) => study.runs.push(run),
+                Ok(vetoes) => {
+                    study.vetoes.extend(vetoes);
+                    study.runs.push(run);
+                }
                 Err(error) => study.left_out.push(error.into()),
             }
         }
@@ -90,30 +100,46 @@ impl Study {
         Ok(study)
     }
 
-    /// Folders with results that are `known` already, by their whole paths, do not count twice. Other folders may be
-    /// searched again: from a folder that is itself named the search goes deeper.
-    fn look(&mut self, folder: &Path, depth: usize, known: &mut BTreeSet<PathBuf>) -> Result<(), StudyError> {
+    /// Folders with results that are `known` already, by their whole paths, do not count twice. Links are followed:
+    /// what was `searched`, at which depth, is searched again only from nearer, so that a circle of links ends.
+    fn look(
+        &mut self,
+        folder: &Path,
+        depth: usize,
+        known: &mut BTreeSet<PathBuf>,
+        searched: &mut BTreeMap<PathBuf, usize>,
+    ) -> Result<(), StudyError> {
         let io = |source| StudyError::Io { path: folder.to_owned(), source };
         let whole = folder.canonicalize().map_err(io)?;
-        if known.contains(&whole) {
+        if searched.get(&whole).is_some_and(|before| *before <= depth) {
             return Ok(());
         }
-        match RunSummary::read(folder) {
-            Ok(Some(summary)) => {
-                self.runs.push(Run { name: summary.name.clone(), folder: folder.to_owned(), summary });
-            }
-            Err(error) => self.left_out.push(error.into()),
-            Ok(None) if folder.join(LOG_FILE).exists() || folder.join(TABLE_FILE).exists() => {
-                self.unfinished.push(folder.to_owned());
-            }
-            Ok(None) if depth < DEPTH => {
-                let below = below(folder).map_err(io)?;
-                return below.iter().try_for_each(|folder| self.look(folder, depth + 1, known));
-            }
-            Ok(None) => return Ok(()),
+        if depth > DEPTH {
+            self.too_deep.push(folder.to_owned());
+            return Ok(());
         }
-        known.insert(whole);
-        Ok(())
+        searched.insert(whole.clone(), depth);
+        if !known.contains(&whole) {
+            let results = match RunSummary::read(folder) {
+                Ok(Some(summary)) => {
+                    self.runs.push(Run { name: summary.name.clone(), folder: folder.to_owned(), summary });
+                    true
+                }
+                Err(error) => {
+                    self.left_out.push(error.into());
+                    true
+                }
+                Ok(None) if folder.join(LOG_FILE).exists() || folder.join(TABLE_FILE).exists() => {
+                    self.unfinished.push(folder.to_owned());
+                    true
+                }
+                Ok(None) => false,
+            };
+            if results {
+                known.insert(whole);
+            }
+        }
+        below(folder).map_err(io)?.iter().try_for_each(|folder| self.look(folder, depth + 1, known, searched))
     }
 
     /// What to say of positions in different frames of reference, if there are any.
@@ -178,7 +204,7 @@ impl Study {
         let mut table = Table::begin(place, &empty)?;
         let mut count = 0;
         for run in self.with_tables() {
-            count += add_all(run, &names, &mut frames, |frames| Ok(table.add(&frames.take(self))?))?;
+            count += add_all(run, &names, &mut frames, |frames| Ok(table.add(&frames.take(self))?))?.rows;
             after_run();
         }
         if frames.rows > 0 {
@@ -194,13 +220,13 @@ impl Study {
     }
 }
 
-/// The folders in a folder, sorted.
+/// The folders in a folder, and those that links in it lead to, sorted.
 fn below(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let mut below = Vec::new();
     for entry in std::fs::read_dir(folder)? {
-        let entry = entry?;
-        if entry.file_type()?.is_dir() {
-            below.push(entry.path());
+        let path = entry?.path();
+        if path.is_dir() {
+            below.push(path);
         }
     }
     below.sort();
@@ -237,17 +263,19 @@ impl Run {
     }
 }
 
-/// Reads the table of a run completely, if it has one.
-fn check(run: &Run) -> Result<(), StudyError> {
+/// Reads the table of a run completely, if it has one; returns what to say of vetoes that are of none of its frames.
+fn check(run: &Run) -> Result<Option<String>, StudyError> {
     if !run.has_table() {
-        return Ok(());
+        return Ok(None);
     }
     let names = open(run)?.1;
     let forget = |frames: &mut Frames<'_>| {
         *frames = Frames::new(&names);
         Ok(())
     };
-    add_all(run, &names, &mut Frames::new(&names), forget).map(drop)
+    let added = add_all(run, &names, &mut Frames::new(&names), forget)?;
+    let lost = added.vetoes.without_frame(added.vetoed_ns.into_iter());
+    Ok(lost.map(|said| format!("{}: {said}", run.folder.display())))
 }
 
 /// The table of a run, and its header, which has the run's columns.
@@ -268,30 +296,42 @@ fn open(run: &Run) -> Result<(csv::Reader<std::fs::File>, Vec<String>), StudyErr
     Ok((reader, header))
 }
 
-/// Adds the rows of a run to `frames`, whose columns are `names`, and calls `full` when there are many; returns their
-/// number. The frames' numbers rise, and there are as many as the summary counts.
+/// The rows of a run that were added.
+struct Added {
+    rows: u64,
+    vetoes: Vetoes,
+    /// Stamps of the vetoed frames, nanoseconds.
+    vetoed_ns: Vec<i64>,
+}
+
+/// Adds the rows of a run to `frames`, whose columns are `names`, and calls `full` when there are many. The frames'
+/// numbers rise, and there are as many as the summary counts.
 fn add_all<'a>(
     run: &'a Run,
     names: &[String],
     frames: &mut Frames<'a>,
     mut full: impl FnMut(&mut Frames<'a>) -> Result<(), StudyError>,
-) -> Result<u64, StudyError> {
+) -> Result<Added, StudyError> {
     let (mut reader, header) = open(run)?;
     let places: Vec<Option<usize>> = names.iter().map(|name| header.iter().position(|other| other == name)).collect();
     let vetoes = Vetoes::read(&run.folder)?;
     let wrong = |line: u64, reason: String| StudyError::Track { path: run.folder.join(TABLE_FILE), line, reason };
     let mut row = csv::StringRecord::new();
-    let (mut count, mut last_seq) = (0, None);
+    let (mut count, mut last_seq, mut vetoed_ns) = (0, None, Vec::new());
     loop {
         // The reader's own count lags behind by one at CRLF.
         let line = count + 2;
         if !reader.read_record(&mut row).map_err(|error| wrong(line, error.to_string()))? {
-            return run.wrong_count(count).map_or(Ok(count), |reason| Err(wrong(count + 1, reason)));
+            return match run.wrong_count(count) {
+                Some(reason) => Err(wrong(count + 1, reason)),
+                None => Ok(Added { rows: count, vetoes, vetoed_ns }),
+            };
         }
         if row.len() != header.len() {
             return Err(wrong(line, format!("has {} of the header's {} cells", row.len(), header.len())));
         }
-        let seq = frames.add(run, &row, &places, &vetoes).map_err(|reason| wrong(line, reason))?;
+        let (seq, stamp_ns) = frames.add(run, &row, &places, &vetoes).map_err(|reason| wrong(line, reason))?;
+        vetoed_ns.extend(vetoes.of(stamp_ns).map(|_| stamp_ns));
         if let Some(last) = last_seq.replace(seq).filter(|last| *last >= seq) {
             return Err(wrong(line, format!("frame {seq} comes after frame {last}; their numbers should rise")));
         }
@@ -327,29 +367,32 @@ impl<'a> Frames<'a> {
         Self { columns, runs: Vec::new(), rows: 0, vetoes: Vec::new() }
     }
 
-    /// Adds a row of a run's table; returns the number of the frame.
+    /// Adds a row of a run's table; returns number and stamp of the frame.
     fn add(
         &mut self,
         run: &'a Run,
         row: &csv::StringRecord,
         places: &[Option<usize>],
         vetoes: &Vetoes,
-    ) -> Result<i64, String> {
+    ) -> Result<(i64, i64), String> {
         let number = |name: &str| {
             let at = self.columns.iter().position(|(other, _)| other == name);
             let cell = at.and_then(|at| row.get(places.get(at).copied()??)).unwrap_or_default();
             cell.parse::<i64>().map_err(|_| format!("{name} is `{cell}`, it should be a whole number"))
         };
         let (seq, stamp_ns, _) = (number(table::SEQ)?, number(table::STAMP_NS)?, number(table::GAP)?);
-        let veto = u64::try_from(seq).ok().and_then(|seq| vetoes.of(seq, stamp_ns));
-        self.vetoes.push(veto.map(str::to_owned));
+        self.vetoes.push(vetoes.of(stamp_ns).map(str::to_owned));
         for ((name, cells), place) in self.columns.iter_mut().zip(places) {
             let cell = place.and_then(|place| row.get(place)).filter(|cell| !cell.is_empty());
             let wrong = || format!("{name} is {}, which is no number", cell.unwrap_or_default());
             match cells {
                 Cells::Text(cells) => cells.push(cell.map(str::to_owned)),
                 Cells::Whole(cells) => cells.push(cell.map(str::parse).transpose().map_err(|_| wrong())?),
-                Cells::Real(cells) => cells.push(cell.map(str::parse).transpose().map_err(|_| wrong())?),
+                Cells::Real(cells) => {
+                    let number: Option<f64> = cell.map(str::parse).transpose().map_err(|_| wrong())?;
+                    // The words for infinity are numbers to the parser; no measurement is.
+                    cells.push(number.map(|n| if n.is_finite() { Ok(n) } else { Err(wrong()) }).transpose()?);
+                }
                 Cells::Flag(cells) => cells.push(None),
             }
         }
@@ -358,7 +401,7 @@ impl<'a> Frames<'a> {
             _ => self.runs.push((run, 1)),
         }
         self.rows += 1;
-        Ok(seq)
+        Ok((seq, stamp_ns))
     }
 
     /// The rows, with the names and frames of reference of their runs, vetoes, and the manifests' columns.
@@ -459,142 +502,4 @@ fn own_columns(runs: &[Run]) -> Vec<(String, Cells)> {
         columns.push(whole(&format!("missed_{what}_{reason}"), &count));
     }
     columns
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use parquet::file::reader::SerializedFileReader;
-    use parquet::record::RowAccessor as _;
-    use std::fmt::Write as _;
-    use std::fs;
-
-    /// The header of a run with a marker, and three rows.
-    fn track(marker: &str) -> String {
-        let header = table::header([marker].into_iter(), false);
-        let mut text = header.join(",") + "\r\n";
-        for seq in 0..3 {
-            let cells = header.iter().map(|name| match name.as_str() {
-                "seq" | "stamp_ns" => seq.to_string(),
-                "gap" => "0".to_owned(),
-                name if name.ends_with("_status") => "ok".to_owned(),
-                _ => format!("{seq}.5"),
-            });
-            let _ = write!(text, "{}\r\n", cells.collect::<Vec<_>>().join(","));
-        }
-        text
-    }
-
-    fn summary(name: &str, marker: &str, frame: &str) -> RunSummary {
-        let mut summary = RunSummary { name: name.to_owned(), ..RunSummary::example() };
-        let measured = summary.measured.as_mut().unwrap();
-        (measured.frames, measured.markers[0].name) = (3, marker.to_owned());
-        summary.options = [(FRAME.to_owned(), frame.to_owned())].into();
-        summary
-    }
-
-    fn save(archive: &Path, summary: &RunSummary, track: &str) {
-        let folder = archive.join(&summary.name);
-        fs::create_dir_all(&folder).unwrap();
-        summary.write(&folder).unwrap();
-        fs::write(folder.join(TABLE_FILE), track).unwrap();
-    }
-
-    /// The good run's name and its number of frames in the table, and why the other is left out.
-    fn collected(spoil: impl Fn(&str) -> String) -> (Vec<String>, u64, Vec<String>) {
-        let archive = tempfile::tempdir().unwrap();
-        save(archive.path(), &summary("good", "tip", "base"), &track("tip"));
-        save(archive.path(), &summary("other", "tip", "base"), &spoil(&track("tip")));
-        let study = Study::find(&[archive.path().to_owned()]).unwrap();
-        let frames = study.write_frames(&archive.path().join("frames.parquet"), || {}).unwrap();
-        let names = study.runs.iter().map(|run| run.name.clone()).collect();
-        let why = study.left_out.iter().map(|error| error.to_string().rsplit_once('/').unwrap().1.to_owned());
-        (names, frames, why.collect())
-    }
-
-    #[test]
-    fn a_table_that_is_not_the_one_its_summary_describes_leaves_its_run_out() {
-        assert_eq!(collected(str::to_owned), (vec!["good".to_owned(), "other".to_owned()], 6, Vec::new()));
-        // Line ends, and columns of later versions, are no damage.
-        assert_eq!(collected(|text| text.replace("\r\n", "\n")).1, 6);
-        assert_eq!(collected(|text| text.replace("gap\r", "gap,new\r").replace(",0\r", ",0,7\r")).1, 6);
-        let lines = |text: &str, range: std::ops::Range<usize>| -> String {
-            text.split_inclusive('\n').skip(range.start).take(range.len()).collect()
-        };
-        type Spoil = Box<dyn Fn(&str) -> String>;
-        let cases: [(&str, Spoil); 9] = [
-            ("track.csv:3: the table has 2 rows, summary.json counts 3", Box::new(move |text| lines(text, 0..3))),
-            ("track.csv:1: the table has 0 rows, summary.json counts 3", Box::new(move |text| lines(text, 0..1))),
-            ("track.csv:1: has no column 1, which should be `seq`", Box::new(|_| String::new())),
-            (
-                "track.csv:5: frame 0 comes after frame 2; their numbers should rise",
-                Box::new(move |text| text.to_owned() + &lines(text, 1..4)),
-            ),
-            ("track.csv:4: has 12 of the header's 17 cells", Box::new(|text| text[..text.len() - 20].to_owned())),
-            (
-                "track.csv:1: column 8 is `tip_x_m`, it should be `tip_x_mm`",
-                Box::new(|text| text.replace("tip_x_mm", "tip_x_m")),
-            ),
-            (
-                "track.csv:1: column 4 is `theta_sd_deg`, it should be `theta_deg`",
-                Box::new(|text| text.replacen("theta_deg,", "", 1).replace(".5,ok", ",ok")),
-            ),
-            (
-                "track.csv:3: theta_deg is 1;5, which is no number",
-                Box::new(|text| text.replacen(",1,1.5", ",1,1;5", 1)),
-            ),
-            ("track.csv:4: seq is ``, it should be a whole number", Box::new(|text| text.replace("\n2,", "\n,"))),
-        ];
-        for (reason, spoil) in cases {
-            let (names, frames, why) = collected(spoil);
-            assert_eq!((names.as_slice(), frames), (["good".to_owned()].as_slice(), 3), "{reason}");
-            assert!(why.len() == 1 && why[0].starts_with(reason), "{reason}: {why:?}");
-        }
-    }
-
-    #[test]
-    fn a_run_counts_once_however_often_its_folder_is_named() {
-        let archive = tempfile::tempdir().unwrap();
-        for name in ["day1/a", "day1/b", "day2/c"] {
-            save(archive.path(), &summary(name, "tip", "base"), &track("tip"));
-        }
-        fs::create_dir(archive.path().join("unfinished")).unwrap();
-        fs::write(archive.path().join("unfinished").join(LOG_FILE), "").unwrap();
-        let named = ["day1/b", "day1/../day1/b", "day1", "", "unfinished"].map(|name| archive.path().join(name));
-        let study = Study::find(&named).unwrap();
-        let mut names: Vec<&str> = study.runs.iter().map(|run| run.name.as_str()).collect();
-        names.sort_unstable();
-        assert_eq!((names, study.unfinished.len()), (vec!["day1/a", "day1/b", "day2/c"], 1));
-    }
-
-    #[test]
-    fn the_table_of_a_run_without_space_may_end_early() {
-        let archive = tempfile::tempdir().unwrap();
-        let mut full = summary("full", "tip", "base");
-        full.measured.as_mut().unwrap().frames = 4;
-        full.outcome = Outcome::Failed;
-        save(archive.path(), &full, &track("tip"));
-        assert_eq!(Study::find(&[archive.path().to_owned()]).unwrap().runs.len(), 1);
-        full.outcome = Outcome::Tracked;
-        save(archive.path(), &full, &track("tip"));
-        assert_eq!(Study::find(&[archive.path().to_owned()]).unwrap().left_out.len(), 1);
-    }
-
-    #[test]
-    fn every_row_tells_its_frame_of_reference_and_rigs_have_their_own_markers() {
-        let archive = tempfile::tempdir().unwrap();
-        save(archive.path(), &summary("a", "tip", "base"), &track("tip"));
-        save(archive.path(), &summary("b", "ring", "base"), &track("ring"));
-        let find = || Study::find(&[archive.path().to_owned()]).unwrap();
-        assert_eq!(find().mixed_frames(), None);
-        save(archive.path(), &summary("c", "tip", "camera"), &track("tip"));
-        let study = find();
-        let said = study.mixed_frames().unwrap();
-        assert!(said.contains("(base frame in 2 runs, camera frame in 1 run)"), "{said}");
-        let table = archive.path().join("frames.parquet");
-        assert_eq!(study.write_frames(&table, || {}).unwrap(), 9);
-        let rows = SerializedFileReader::new(fs::File::open(&table).unwrap()).unwrap();
-        let frames: Vec<String> = rows.into_iter().map(|row| row.unwrap().get_string(1).unwrap().clone()).collect();
-        assert_eq!(frames, ["base", "base", "base", "base", "base", "base", "camera", "camera", "camera"]);
-    }
 }

@@ -82,6 +82,9 @@ pub(crate) struct Hashes {
 pub(crate) struct FileRecord {
     pub(crate) name: String,
     pub(crate) bytes: u64,
+    /// Of the table: numbers may be changed without changing its length.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) sha256: Option<String>,
 }
 
 /// Everything about a finished run.
@@ -397,7 +400,7 @@ impl RunSummary {
             measured: Some(measured),
             warnings: vec!["a warning".into()],
             more_warnings: 0,
-            files: vec![FileRecord { name: "track.csv".into(), bytes: 3 }],
+            files: vec![FileRecord { name: "track.csv".into(), bytes: 3, sha256: None }],
             finished: "2026-11-21T00:00:00Z".into(),
             elapsed_s: 1.5,
         }

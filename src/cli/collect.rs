@@ -46,6 +46,10 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     study.unfinished.iter().for_each(|folder| {
         tracing::warn!("{}: has no summary.json: not finished, or not of `track`; it is left out", folder.display());
     });
+    study.too_deep.iter().for_each(|folder| {
+        tracing::warn!("{}: lies too deep and is not searched: name it, or a folder nearer to it", folder.display());
+    });
+    study.vetoes.iter().for_each(|said| tracing::warn!("{said}"));
     study.left_out.iter().for_each(|error| tracing::warn!("{error}; the run is left out"));
     if study.runs.is_empty() {
         return Err(Failure::usage(format!("{}: no run can be read: nothing is written", folders())));

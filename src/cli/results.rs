@@ -27,9 +27,23 @@ pub(super) fn origin(run: &str) -> String {
     format!("# Origin of these results.\n{run}")
 }
 
-/// The absolute path of something that exists; unchanged when the system cannot resolve it.
+/// Links that are followed to something that does not exist; more are a circle.
+const MAX_LINKS: usize = 40;
+
+/// The absolute path of something, without links. It is the same when the thing itself is gone for the moment: results
+/// are recognised by the path of their recording.
 pub(super) fn whole_path(path: &Path) -> PathBuf {
-    path.canonicalize().unwrap_or_else(|_| path.to_owned())
+    path.canonicalize().unwrap_or_else(|_| path_of_missing(path, MAX_LINKS))
+}
+
+/// As [`whole_path`], of something that does not exist: the part of the path that does is resolved.
+fn path_of_missing(path: &Path, links: usize) -> PathBuf {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let (Some(parent), Some(name)) = (absolute.parent(), absolute.file_name()) else { return absolute };
+    match (fs::read_link(&absolute), links.checked_sub(1)) {
+        (Ok(target), Some(left)) => path_of_missing(&parent.join(target), left),
+        _ => parent.canonicalize().unwrap_or_else(|_| path_of_missing(parent, links)).join(name),
+    }
 }
 
 /// A path as unique text: invalid UTF-8 bytes are escaped.
@@ -196,6 +210,33 @@ mod tests {
         assert!(other.exit() == Exit::Usage && other.to_string().contains("a.csv"), "{other}");
         results(&folder, &a, &["model.json"]).take().unwrap();
         assert!(!folder.join("orders.csv").exists() && folder.join("notes.txt").exists());
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn what_is_gone_has_the_path_that_it_had() {
+        let place = tempfile::tempdir().unwrap();
+        let real = place.path().join("disk/day 1");
+        fs::create_dir_all(&real).unwrap();
+        fs::write(real.join("a.mkv"), "video").unwrap();
+        let link = |to: &Path, name: &str| {
+            let link = place.path().join(name);
+            std::os::unix::fs::symlink(to, &link).unwrap();
+            link
+        };
+        let (file, folder) = (link(&real.join("a.mkv"), "a.mkv"), link(&place.path().join("disk"), "data"));
+        let paths = [real.join("a.mkv"), file, folder.join("day 1/a.mkv")];
+        let whole = || paths.each_ref().map(|path| whole_path(path));
+        let before = whole();
+        fs::remove_file(&paths[0]).unwrap();
+        assert_eq!(whole(), before);
+        // As when a disk is not mounted.
+        fs::remove_dir_all(place.path().join("disk")).unwrap();
+        assert_eq!(whole(), before);
+        assert_eq!(whole_path(Path::new("no such file")), std::env::current_dir().unwrap().join("no such file"));
+        let circle = place.path().join("circle");
+        std::os::unix::fs::symlink(&circle, &circle).unwrap();
+        assert!(whole_path(&circle).ends_with("circle"));
     }
 
     #[test]

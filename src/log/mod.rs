@@ -21,8 +21,12 @@ pub use info::{Info, TopicInfo};
 pub use records::{Condition, Damage};
 pub use repair::{Repaired, repair};
 
-/// Whether the file at `path` begins as logs do.
+/// Whether the file at `path` begins as logs do. Pipes and devices are not opened: they may wait, and what is read of
+/// them is lost.
 pub fn is_log(path: &Path) -> bool {
+    if !path.is_file() {
+        return false;
+    }
     let mut begin = [0; mcap::MAGIC.len()];
     std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok() && begin == mcap::MAGIC
 }

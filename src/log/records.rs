@@ -10,7 +10,7 @@ use crate::catch_panic::catch_panic;
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -83,6 +83,10 @@ pub(crate) struct Records {
     ended: bool,
     /// Log time of the last message, nanoseconds.
     last_ns: Option<u64>,
+    /// Channels whose record was read.
+    channels: BTreeSet<u16>,
+    /// Whether schemas and channels were looked for in the rest of the file.
+    searched: bool,
     condition: Condition,
 }
 
@@ -122,11 +126,14 @@ impl Records {
             current: (0, Vec::new()),
             ended: false,
             last_ns: None,
+            channels: BTreeSet::new(),
+            searched: false,
             condition: Condition::default(),
         })
     }
 
-    /// The next record; `None` after the last one.
+    /// The next record; `None` after the last one. Schemas and channels whose first record is damaged come before the
+    /// first message that needs them: they are repeated at the end of a log.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -134,10 +141,19 @@ impl Records {
         loop {
             if let Some(record) = self.opened.pop_front() {
                 self.current = record;
-                if parsed(self.current.0, &self.current.1).is_some() {
-                    break;
+                match parsed(self.current.0, &self.current.1) {
+                    None => self.damaged(self.at, "a record cannot be understood".to_owned()),
+                    Some(Record::Message { header, .. })
+                        if !self.searched && !self.channels.contains(&header.channel_id) =>
+                    {
+                        self.search_topics()?;
+                    }
+                    Some(Record::Channel(channel)) => {
+                        self.channels.insert(channel.id);
+                        break;
+                    }
+                    Some(_) => break,
                 }
-                self.damaged(self.at, "a record cannot be understood".to_owned());
                 continue;
             }
             if self.ended {
@@ -153,6 +169,22 @@ impl Records {
             }
         }
         Ok(record)
+    }
+
+    /// Puts all schemas and channels of the file before the current record.
+    fn search_topics(&mut self) -> Result<(), LogError> {
+        self.searched = true;
+        let mut all = Self { searched: true, ..Self::open(&self.path)? };
+        let mut before = VecDeque::new();
+        while all.next()?.is_some() {
+            if [op::SCHEMA, op::CHANNEL].contains(&all.current.0) {
+                before.push_back(std::mem::take(&mut all.current));
+            }
+        }
+        before.push_back(std::mem::take(&mut self.current));
+        before.append(&mut self.opened);
+        self.opened = before;
+        Ok(())
     }
 
     /// How much of the log can be trusted, as far as read.

@@ -9,6 +9,7 @@
 //! - [`formats`]: cameras read from and written for OpenCV, ROS and Kalibr; views as DLT coefficients.
 
 pub mod check;
+mod covariance;
 mod draft;
 mod error;
 mod file;

@@ -7,7 +7,9 @@ use super::file::{
 };
 use super::numbers::{millimetres as written_mm, rotation_of};
 use super::walk::{central_pixel, walk};
-use super::{Base, Camera, Catheter, ColourModel, ColourPlane, Draft, Marker, Rig, RigError, View, polygon};
+use super::{
+    Base, Camera, Catheter, ColourModel, ColourPlane, Draft, Marker, Rig, RigError, View, covariance, polygon,
+};
 use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Isometry3, Matrix3, Point2, Translation3, Vector2, Vector3};
 use std::collections::BTreeMap;
@@ -34,6 +36,9 @@ pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     check.bands_apart(&markers)?;
     let catheter = raw.catheter.map(|catheter| check.catheter(&catheter, &markers)).transpose()?;
     let base = raw.base.map(|base| check.base(&base)).transpose()?;
+    if let Some(covariance::Wrong { key, value, expected }) = covariance::wrong(&raw.provenance) {
+        return Err(check.value(key, value, expected));
+    }
     Ok(Draft { camera, surfaces, views, markers, catheter, base, provenance: raw.provenance })
 }
 

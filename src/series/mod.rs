@@ -125,7 +125,11 @@ impl Recording {
     /// not an error.
     pub fn read(path: &Path) -> Result<Self, SeriesError> {
         let mut recording = Self::as_measured(path)?;
-        recording.leave_out(&Vetoes::beside(path)?);
+        let vetoes = Vetoes::beside(path)?;
+        recording.leave_out(&vetoes);
+        if let Some(said) = vetoes.without_frame(recording.frames.iter().map(|frame| frame.stamp_ns)) {
+            tracing::warn!("{}: {said}", path.display());
+        }
         if recording.vetoed > 0 {
             let frames = if recording.vetoed == 1 { "1 frame is" } else { &format!("{} frames are", recording.vetoed) };
             tracing::warn!("{}: {frames} left out: vetoed in {}", path.display(), vetoes::FILE);
@@ -150,7 +154,7 @@ impl Recording {
     /// Takes out what was measured in frames that are vetoed.
     fn leave_out(&mut self, vetoes: &Vetoes) {
         for frame in &mut self.frames {
-            if vetoes.of(frame.seq, frame.stamp_ns).is_none() {
+            if vetoes.of(frame.stamp_ns).is_none() {
                 continue;
             }
             self.vetoed += 1;

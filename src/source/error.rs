@@ -180,6 +180,13 @@ pub enum SourceError {
         /// What is wrong.
         reason: String,
     },
+    /// A pipe or a device in place of a recording.
+    #[error("{}: is neither a file nor a folder; expected a recorded video, a folder of pictures or a log",
+        path.display())]
+    NoFile {
+        /// What was named.
+        path: PathBuf,
+    },
     /// The stream has ended without a frame.
     #[error("{}: has no frame that can be decoded", path.display())]
     NoFrames {

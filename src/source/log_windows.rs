@@ -9,12 +9,13 @@
 //! The windows of a picture follow its row in the log, some frames later. Rows wait for them until those of a later
 //! frame arrive.
 
+use super::times::seconds;
 use super::{
     ChromaSiting, Clock, Colour, CurrentSample, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat,
     Quantisation, Range, SourceError, Span, StreamFaults, Timestamp, Transfer, Window,
 };
 use crate::log::decoder::MessageDecoder;
-use crate::log::fields::{floats, list, number, text};
+use crate::log::fields::{floats, list, number, text, word};
 use crate::log::records::Records;
 use crate::log::schema::{Topic, WINDOW_FORMAT};
 use crate::log::typed;
@@ -30,6 +31,9 @@ use std::path::{Path, PathBuf};
 const LARGEST_PX: u32 = 1 << 14;
 const MAX_PX: u64 = 1 << 27;
 
+/// The status of a frame whose picture was damaged.
+const DAMAGED: &str = "damaged";
+
 /// The pictures in a log.
 pub struct LogWindows {
     path: PathBuf,
@@ -43,12 +47,16 @@ pub struct LogWindows {
     layout: Layout,
     /// Number of the last row read, in the log's own count.
     last: Option<u64>,
+    /// Rows that are missing between those read.
+    lacking: u64,
     /// Number of the last frame whose windows were read.
     windows_to: Option<u64>,
     span: Span,
     given: u64,
     faults: StreamFaults,
     last_good_ns: Option<i64>,
+    /// Stamps of the rows nearest to the span, outside of it: the last before, the first after.
+    outside_ns: [Option<i64>; 2],
 }
 
 struct Row {
@@ -57,6 +65,8 @@ struct Row {
     gap: u32,
     host: Option<HostTime>,
     windows: Option<DynamicMessage>,
+    /// Whether its picture was damaged: none was recorded, and tracked again it is not one that is missing in the log.
+    damaged: bool,
 }
 
 /// Size and storage of a picture.
@@ -83,29 +93,17 @@ impl LogWindows {
             currents: Vec::new(),
             layout,
             last: None,
+            lacking: 0,
             windows_to: None,
             span,
             given: 0,
             faults: StreamFaults::default(),
             last_good_ns: None,
+            outside_ns: [None; 2],
         };
-        let mut again = false;
         // The first one that can be parsed sets the layout.
         while source.layout.size_px == [0; 2] {
-            let read = source.read()?;
-            if !read
-                && source.decoder.channels().next().is_some()
-                && !source.records.condition().damage.is_empty()
-                && !again
-            {
-                // Topic names that are damaged at the beginning are repeated at the end.
-                again = true;
-                source.records = Records::open(path)?;
-                (source.rows, source.windows_to) = (VecDeque::new(), None);
-                source.currents.clear();
-                continue;
-            }
-            if !read {
+            if !source.read()? {
                 return Err(SourceError::LogWithoutPictures { path: path.to_owned() });
             }
             let newest = source.rows.iter().rev().find_map(|row| row.windows.as_ref());
@@ -154,6 +152,7 @@ impl LogWindows {
                 if let Some(row) = &mut row {
                     // Rows missing in the log are lost frames.
                     let lacking = self.last.map_or(0, |last| row.seq.saturating_sub(last + 1));
+                    self.lacking = self.lacking.saturating_add(lacking);
                     row.gap = row.gap.saturating_add(u32::try_from(lacking).unwrap_or(u32::MAX));
                     self.last = Some(row.seq);
                 }
@@ -164,6 +163,10 @@ impl LogWindows {
 
     fn picture(&self, row: &Row) -> Result<Picture, SourceError> {
         let failed = |reason: String| self.damaged(row.seq, reason);
+        if row.damaged {
+            let Layout { size_px, format, colour } = self.layout;
+            return Picture::missing(size_px, format, colour).map_err(|e| failed(e.to_string()));
+        }
         let Some(message) = &row.windows else {
             let black = black(&self.layout);
             return Ok(picture_of(self.layout, black).map_err(failed)?.of_parts(Vec::new()));
@@ -189,6 +192,12 @@ impl FrameSource for LogWindows {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         while let Some(row) = self.next_row()? {
             if !self.span.contains(row.stamp.ns) {
+                let [before, after] = &mut self.outside_ns;
+                if self.span.from_ns.is_some_and(|from_ns| row.stamp.ns < from_ns) {
+                    *before = Some(row.stamp.ns);
+                } else {
+                    after.get_or_insert(row.stamp.ns);
+                }
                 continue;
             }
             let picture = match self.picture(&row) {
@@ -208,6 +217,11 @@ impl FrameSource for LogWindows {
             self.last_good_ns = Some(stamp.ns);
             return Ok(Some(Frame { seq, stamp, gap, host, picture }));
         }
+        if self.lacking > 0 {
+            let rows = if self.lacking == 1 { "1 row is".to_owned() } else { format!("{} rows are", self.lacking) };
+            tracing::warn!("{}: {rows} missing in the log: the camera need not have lost them", self.path.display());
+            self.lacking = 0;
+        }
         let condition = self.records.condition();
         if let (None, Some(why)) = (&condition.cut, condition.summary()) {
             tracing::warn!("{}: the log is damaged: {why}; what is left of it is tracked", self.path.display());
@@ -216,9 +230,15 @@ impl FrameSource for LogWindows {
             Some(_) => Err(SourceError::Truncated {
                 path: self.path.clone(),
                 frames: self.given,
-                last_good_s: self.last_good_ns.map(super::times::seconds),
+                last_good_s: self.last_good_ns.map(seconds),
                 why: condition.summary().unwrap_or_default(),
             }),
+            None if self.given == 0 && self.span != Span::default() => {
+                let [from_s, to_s, before_s, after_s] =
+                    [self.span.from_ns, self.span.to_ns, self.outside_ns[0], self.outside_ns[1]]
+                        .map(|ns| ns.map(seconds));
+                Err(SourceError::EmptySpan { path: self.path.clone(), from_s, to_s, before_s, after_s })
+            }
             None => Ok(None),
         }
     }
@@ -256,6 +276,7 @@ fn row(estimate: &DynamicMessage) -> Result<Row, String> {
         gap: unsigned("gap")?.try_into().unwrap_or(u32::MAX),
         host: host().map_err(|e: String| e)?,
         windows: None,
+        damaged: word(estimate, "tangent_status").as_deref() == Some(DAMAGED),
     })
 }
 

@@ -36,6 +36,9 @@ pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn Fr
         let timing = options.stated_rate.map_or(ImageTiming::Table, ImageTiming::StatedRate);
         return Ok(Box::new(ImageFolder::open(path, timing, options.span)?.keeping_damaged(options.keep_damaged)));
     }
+    if path.exists() && !path.is_file() {
+        return Err(SourceError::NoFile { path: path.to_path_buf() });
+    }
     let SourceOptions { decoder_threads, span, stated_rate, keep_damaged } = options;
     Ok(Box::new(VideoFile::open(path, VideoOptions { decoder_threads, span, stated_rate, keep_damaged })?))
 }

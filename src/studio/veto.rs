@@ -45,9 +45,9 @@ pub(super) fn standing(run: &Run) -> Result<Value, Refusal> {
     Ok(vetoes_json(run, &Vetoes::read(run.folder()).map_err(refused)?))
 }
 
-/// A veto of a frame of the same number of an earlier recording is not among them.
+/// A veto of no frame of this run is not among them.
 fn vetoes_json(run: &Run, standing: &Vetoes) -> Value {
-    let of_run = run.rows.iter().filter_map(|row| Some((row.seq, standing.of(row.seq, row.stamp_ns)?)));
+    let of_run = run.rows.iter().filter_map(|row| Some((row.seq, standing.of(row.stamp_ns)?)));
     json!(of_run.collect::<BTreeMap<_, _>>())
 }
 

@@ -171,6 +171,12 @@ fn what_is_done_is_left_out_until_something_changes() {
     assert_eq!(planned("planar"), "begun and not finished");
     fs::write(archive.path("runs/unread/summary.json"), "{").unwrap();
     assert!(planned("unread").starts_with("its summary cannot be used"), "{}", planned("unread"));
+    // A number in a table, without changing its length.
+    let table = archive.path("runs/circle/track.csv");
+    let written = fs::read_to_string(&table).unwrap();
+    fs::write(&table, written.replace(",ok,", ",no,")).unwrap();
+    assert_eq!(planned("circle"), "track.csv is gone or changed");
+    fs::write(&table, written).unwrap();
     // Another program, and a failure that passes.
     let circle = archive.path("runs/circle/summary.json");
     let text = fs::read_to_string(&circle).unwrap();
@@ -303,6 +309,46 @@ fn a_bad_rig_fails_the_recordings_that_need_it_and_no_others() {
     let summary = archive.summary("rest");
     assert_eq!((&summary["failure"]["retryable"], &summary["sha256"]["rig"].is_string()), (&false.into(), &true));
     assert_eq!(archive.summary("circle")["outcome"], "tracked");
+}
+
+/// As when a disk is not mounted while a batch is resumed, or the rig is being written.
+#[test]
+fn complete_results_stay_when_recording_or_rig_are_not_there_for_a_moment() {
+    let archive = Archive::with("rest\tA\trest.mkv\t--to 0\n");
+    fs::copy(sample("rest.mkv"), archive.path("rest.mkv")).unwrap();
+    ended_with(&archive.track(""), 0);
+    let before = timeless(&archive.path("runs"));
+    for (file, reason) in
+        [("rest.mkv", "rest.mkv: no such file or folder"), ("rig.toml", "cannot read rig file rig.toml")]
+    {
+        fs::rename(archive.path(file), archive.path("away")).unwrap();
+        for words in ["", "--resume"] {
+            let said = ended_with(&archive.track(words), 1);
+            let kept = "; the results of an earlier run are kept in runs/rest";
+            assert!(said.contains(&format!("error: rest: {reason}")) && said.contains(kept), "{said}");
+            assert!(timeless(&archive.path("runs")) == before, "{file}");
+        }
+        fs::rename(archive.path("away"), archive.path(file)).unwrap();
+    }
+    assert_eq!(archive.planned(""), BTreeMap::new());
+    // What is not complete is replaced by the reason, also when the manifest's path is relative.
+    fs::rename(archive.path("rest.mkv"), archive.path("away")).unwrap();
+    fs::remove_file(archive.path("runs/rest/track.csv")).unwrap();
+    let said = ended_with(&archive.track(""), 1);
+    assert!(!said.contains("choose another folder"), "{said}");
+    assert_eq!(archive.summary("rest")["outcome"], "failed");
+}
+
+/// Opening a pipe waits for whoever writes into it, for ever.
+#[test]
+#[cfg(unix)]
+fn a_recording_that_is_no_file_is_refused() {
+    let archive = Archive::with("pipe\tA\tpipe.mkv\t\n");
+    assert!(Command::new("mkfifo").arg(archive.path("pipe.mkv")).status().unwrap().success());
+    let refused = "pipe.mkv: cannot be read: is neither a file nor a folder";
+    assert!(ended_with(&archive.track(""), 1).contains(refused));
+    let said = ended_with(&archive.run("track pipe.mkv --rig rig.toml"), 2);
+    assert!(said.contains("pipe.mkv: is neither a file nor a folder"), "{said}");
 }
 
 /// A disk of its own that is too small; gone with the value.

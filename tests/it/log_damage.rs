@@ -104,6 +104,31 @@ fn what_lies_behind_a_hole_is_saved() {
 }
 
 /// The same log in chunks that are compressed, as other programs write them.
+/// Names and schemas of all topics are in the first chunk, and once more at the end.
+#[test]
+fn a_damaged_first_chunk_costs_its_messages_and_no_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = run(folder.path());
+    let bytes = std::fs::read(&path).unwrap();
+    let whole = Recording::read(&path).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let chunks = summary.chunk_indexes.len();
+    assert!(chunks > 3, "{chunks} chunks");
+    let first = summary.chunk_indexes.iter().min_by_key(|chunk| chunk.chunk_start_offset).unwrap();
+    let mut damaged = bytes.clone();
+    damaged[(first.chunk_start_offset + first.chunk_length / 2) as usize] ^= 1;
+    std::fs::write(&path, &damaged).unwrap();
+    let info = Info::read(&path).unwrap();
+    assert!(info.frames * 10 > FRAMES * 7, "{} frames", info.frames);
+    assert_eq!(info.condition.damage.len(), 1, "{:?}", info.condition);
+    let read = Recording::read(&path).unwrap();
+    assert!(read.frames.len() as u64 == info.frames && is_part_of(&read, &whole) && !read.currents.is_empty());
+    let table = folder.path().join("log.csv");
+    let words = ["log", "convert", path.to_str().unwrap(), "--profile", "csv", "-o", table.to_str().unwrap()];
+    ended_with(&Command::new(env!("CARGO_BIN_EXE_catoptra")).args(words).output().unwrap(), 0);
+    assert_eq!(std::fs::read_to_string(&table).unwrap().lines().count() as u64, info.frames + 1);
+}
+
 fn compressed(from: &Path, to: &Path, compression: Compression) {
     let bytes = std::fs::read(from).unwrap();
     let options = WriteOptions::new().compression(Some(compression)).chunk_size(Some(100_000));

@@ -154,6 +154,13 @@ fn a_picture_that_cannot_be_read_costs_its_frame_and_no_other() {
     let status: Vec<&str> = table.rows.iter().map(|row| row["coil_status"].as_str()).collect();
     assert_eq!(status, ["ok", "ok", "damaged", "ok"]);
     assert!(table.rows.iter().all(|row| row["gap"] == "0"));
+    // Tracked again from its log the frame is damaged still, not one that was not recorded.
+    ended_with(&place.track(&folder, &["--record", "windows"]), 0);
+    let first = std::fs::read(place.path("out/track.csv")).unwrap();
+    let mut again = std::process::Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    again.current_dir(place.folder.path()).args(["track", "out/log.mcap", "-o", "again"]);
+    ended_with(&again.output().unwrap(), 0);
+    assert!(first == std::fs::read(place.path("again/track.csv")).unwrap());
 }
 
 #[test]

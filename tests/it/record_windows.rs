@@ -229,6 +229,11 @@ fn the_command_tracks_a_log_again_with_the_rig_that_is_in_it() {
     assert_eq!(table("out"), table("again"));
     assert_eq!(attached(&log, "rig.toml"), attached(&place.path("again/log.mcap"), "rig.toml"));
 
+    // As of a video, a span without a frame is a mistake.
+    let beyond = ended_with(&command(&["out/log.mcap", "-o", "beyond", "--from", "100"]), 2);
+    let last = "no frame between 100 s and the end; the nearest";
+    assert!(beyond.contains(last) && !place.path("beyond").exists(), "{beyond}");
+
     // Later nothing is known of before, and the next whole picture comes within ten seconds: until then the bands are
     // found in what was recorded.
     ended_with(&command(&["out/log.mcap", "-o", "later", "--from", "0.25"]), 0);

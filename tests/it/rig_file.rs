@@ -206,6 +206,21 @@ fn mistakes_are_named() {
         ("[3.0, 1094.0, 40.0]", "[3.0, nan, 40.0]", &["base.base_from_camera.translation_mm", "finite"]),
         ("b0 = [1.0, 0.0, 0.0]", "b0 = [3.0, 0.0, 0.0]", &["base.b0 = [3.0, 0.0, 0.0]", "length 1"]),
         ("gravity = [0.0, 1.0, 0.0]", "gravity = [0.0, 9.81, 0.0]", &["base.gravity", "[0.0, 1.0, 0.0]"]),
+        (
+            "[provenance]",
+            "[provenance.rig]\ncovariance = [[1e-6, nan], [0.0, 1e-6]]\n[provenance]",
+            &["provenance.rig.covariance[0][1] = NaN", "a finite number"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.rig]\ncovariance = [[1e-6, 0.0], [0.0, -1e-6]]\n[provenance]",
+            &["provenance.rig.covariance[1][1] = -0.000001", "not negative"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.camera]\nlens_covariance = [[inf]]\n[provenance]",
+            &["provenance.camera.lens_covariance[0][0] = inf", "a finite number"],
+        ),
     ];
     for (from, to, expected) in cases {
         let message = read(&changed(from, to)).expect_err(to).to_string();

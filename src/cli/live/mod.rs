@@ -186,7 +186,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     drop(line);
     // 4. the result
     if let Some(sources) = live.run.tally.budget() {
-        files.add_budget(&run, &sources)?;
+        files.add_budget_or_warn(&run, &sources);
     }
     conclude(args, live, &files, &rig, quiet)
 }

@@ -8,7 +8,7 @@
 use super::super::results::{self, Owner, RUN, whole_path};
 use super::super::{Exit, Failure};
 use super::options::Record;
-use crate::archive::{FileRecord, SUMMARY};
+use crate::archive::{FileRecord, SUMMARY, hash};
 use crate::atomic_file;
 use crate::log::schema::{LOG_FILE, TABLE_FILE};
 use crate::tally::budget::{Contribution, together};
@@ -83,6 +83,14 @@ fn is_table(path: &Path) -> bool {
     let mut found = Vec::new();
     let read = fs::File::open(path).and_then(|file| file.take(begin.len() as u64).read_to_end(&mut found));
     read.is_ok() && (found.is_empty() || found == begin)
+}
+
+/// Whether `table` is, or would be, that of a run in a folder other than `own`.
+fn is_of_another_run(table: &Path, own: &Path) -> bool {
+    let table = whole_path(table);
+    let Some(folder) = table.parent().filter(|folder| *folder != whole_path(own)) else { return false };
+    let is_taken = table.exists() || table.file_name().is_some_and(|name| name == TABLE_FILE);
+    is_taken && [RUN, LOG_FILE].iter().any(|name| folder.join(name).exists())
 }
 
 /// The default folder for results: in the working directory, named after the recording.
@@ -178,15 +186,19 @@ impl Files {
         Ok(found)
     }
 
-    /// The files that are there, with their sizes; without the summary.
+    /// The files that are there, with their sizes and the hash of the table; without the summary.
     ///
     /// # Errors
     /// The system's.
     pub(in crate::cli) fn written(&self) -> io::Result<Vec<FileRecord>> {
         let mut files = Vec::new();
         for name in ALL.into_iter().filter(|name| *name != SUMMARY) {
-            match fs::metadata(self.folder.join(name)) {
-                Ok(found) => files.push(FileRecord { name: name.to_owned(), bytes: found.len() }),
+            let path = self.folder.join(name);
+            match fs::metadata(&path) {
+                Ok(found) => {
+                    let sha256 = if name == TABLE_FILE { Some(hash::of_file(&path)?) } else { None };
+                    files.push(FileRecord { name: name.to_owned(), bytes: found.len(), sha256 });
+                }
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
                 Err(error) => return Err(error),
             }
@@ -194,11 +206,15 @@ impl Files {
         Ok(files)
     }
 
-    /// Adds the run's error budget to `run.toml`.
-    ///
-    /// # Errors
-    /// [`Exit::Failed`] when it cannot be written.
-    pub(in crate::cli) fn add_budget(&self, run: &Run, sources: &[Contribution]) -> Result<(), Failure> {
+    /// Adds the run's error budget to `run.toml`. Where it cannot be written, other files cannot either, and what they
+    /// lack must still be told: log and report have the budget too.
+    pub(in crate::cli) fn add_budget_or_warn(&self, run: &Run, sources: &[Contribution]) {
+        if let Err(failure) = self.add_budget(run, sources) {
+            tracing::warn!("{}; the error budget is missing in it", failure.message());
+        }
+    }
+
+    fn add_budget(&self, run: &Run, sources: &[Contribution]) -> Result<(), Failure> {
         let mut text = results::origin(&run.to_toml()?);
         text += "\n# What each source of error adds to θ and to the tip in the base frame, 1σ.\n[error_budget]\n";
         let all = sources.iter().filter_map(|source| Some((source.name, *source.share.as_ref().ok()?)));
@@ -245,6 +261,9 @@ impl Files {
         // Something other than a regular file, such as /dev/stdout, cannot be lost.
         if self.table != self.folder.join(TABLE_FILE) && self.table.is_file() && !is_table(&self.table) {
             return refused(format!("{table}: exists and is not a table of this command; choose another with --csv"));
+        }
+        if is_of_another_run(&self.table, &self.folder) {
+            return refused(format!("{table}: is in the folder of another run; choose another with --csv"));
         }
         Ok(())
     }
@@ -370,6 +389,24 @@ mod tests {
         assert!(refused.to_string().contains("table.csv") && !files.folder.exists(), "{refused}");
         fs::write(&table, "seq,t_s,stamp_ns\r\n").unwrap();
         drop(files.prepare(&run("/a.mkv"), &[]).unwrap());
+        // A folder with a run, which may still be running, keeps its table.
+        let other = place.path().join("other");
+        fs::create_dir(&other).unwrap();
+        for name in [RUN, LOG_FILE] {
+            fs::write(other.join(name), "of another").unwrap();
+            for table in [TABLE_FILE, "mine.csv"].map(|name| other.join(name)) {
+                fs::write(&table, "seq,t_s,stamp_ns\r\n").unwrap();
+                let files = Files::new(&place.path().join("out"), Some(&table), false);
+                let refused = files.prepare(&run("/a.mkv"), &[]).unwrap_err();
+                assert!(refused.to_string().contains("is in the folder of another run"), "{refused}");
+                assert_eq!(fs::read_to_string(&table).unwrap(), "seq,t_s,stamp_ns\r\n");
+            }
+            fs::remove_file(other.join(name)).unwrap();
+        }
+        let own = Files::new(&place.path().join("out"), Some(&place.path().join("out/mine.csv")), false);
+        drop(own.prepare(&run("/a.mkv"), &[]).unwrap());
+        fs::write(&own.table, "seq,t_s,stamp_ns\r\n").unwrap();
+        drop(own.prepare(&run("/a.mkv"), &[]).unwrap());
         let log_twice = Files::new(place.path(), Some(&place.path().join(LOG_FILE)), false);
         assert_eq!(log_twice.prepare(&run("/a.mkv"), &[]).unwrap_err().exit(), Exit::Usage);
     }

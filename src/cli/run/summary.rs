@@ -1,6 +1,7 @@
 //! The summary of a run: a table of plain text.
 
 use super::folder::Files;
+use crate::log::is_log;
 use crate::pipeline::Summary;
 use crate::plural::plural;
 use crate::rig::Rig;
@@ -9,7 +10,7 @@ use crate::source::times::seconds;
 use crate::tally::budget::together;
 use crate::tally::{AlarmInWords, Tally, TickTally};
 use std::fmt::{self, Write as _};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Prints a warning for every alarm beyond the first `known` ones; returns the number of alarms.
 pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, known: usize) -> usize {
@@ -32,7 +33,7 @@ pub(in crate::cli) fn summary(
     rig: &Rig,
 ) -> fmt::Result {
     let tally = &run.tally;
-    writeln!(out, "{recording}: {}", received(tally))?;
+    writeln!(out, "{recording}: {}", received(tally, is_log(Path::new(recording))))?;
     let name_width = tally.markers.iter().map(|m| m.name.chars().count()).max().unwrap_or(0).max(10);
     writeln!(out, "\n  {:name_width$}  answered           median σ", "")?;
     let mut row = |name: &str, answered: u64, sd: Option<f64>, unit: &str, rest: String| {
@@ -101,7 +102,8 @@ pub(in crate::cli) fn summary(
     Ok(())
 }
 
-fn received(tally: &Tally) -> String {
+/// Frames and gaps. Of a log that is tracked again frames may be missing in the file as well.
+fn received(tally: &Tally, of_log: bool) -> String {
     let frames = match tally.frames {
         0 => return "no frame".to_owned(),
         1 => return format!("1 frame, at {:.3} s", seconds(tally.first_ns)),
@@ -109,6 +111,9 @@ fn received(tally: &Tally) -> String {
     };
     let lost = match (tally.lost, tally.gaps) {
         (0, _) => "the camera lost none between them".to_owned(),
+        (lost, gaps) if of_log => {
+            format!("{lost} are missing between them in {}: lost by the camera, or not in the log", plural(gaps, "gap"))
+        }
         (lost, 1) => format!("the camera lost {lost} between them in 1 gap"),
         (lost, gaps) => format!("the camera lost {lost} between them in {gaps} gaps"),
     };

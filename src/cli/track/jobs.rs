@@ -11,7 +11,7 @@ use super::super::warned::{Warnings, Work};
 use super::one::{self, FinishedRun, LoadedRig, Request};
 use super::options::Options;
 use super::{Exit, Failure};
-use crate::archive::{CurrentInputs, Entry, Hashes, RunSummary, Staleness, hash, staleness};
+use crate::archive::{CurrentInputs, Entry, Hashes, RunSummary, Staleness, hash, is_complete, staleness};
 use crate::catch_panic::catch_panic;
 use rayon::ThreadPool;
 use std::collections::HashMap;
@@ -256,12 +256,18 @@ impl Attempt<'_> {
         self.over(&files, verdict.as_ref().err(), measured, (&rig.file, rig.warnings.clone()), frames)
     }
 
-    /// Records in its folder why it cannot be tracked.
+    /// Records in its folder why it cannot be tracked. Complete results are left as they are: a recording on a disk
+    /// that is not mounted, or a rig that is being written, would take hours of work with them.
     fn refused(self, failure: &Failure, warnings: &[String]) -> Done {
-        let Job { entry, options, .. } = self.job;
+        let Job { entry, options, folder } = self.job;
         let files = self.files();
         let rig = entry.rig.clone().unwrap_or_else(|| entry.recording.clone());
         let run = one::described(&entry.recording, &rig, options);
+        if is_complete(folder, &run.recording) {
+            let Done::Failed { message, retryable } = Done::from(failure) else { return Done::Interrupted };
+            let message = format!("{message}; the results of an earlier run are kept in {}", folder.display());
+            return Done::Failed { message, retryable };
+        }
         let _held = match files.prepare(&run, &[&entry.recording, &rig]) {
             Ok(held) => held,
             Err(other) => {

@@ -139,7 +139,7 @@ impl Request<'_> {
             .install(|| work.within(|| pipeline::run(Box::new(source), &mut tracker, sinks, interrupt, watch)));
         let tracked = tracked.map_err(|e| Failure::because(Exit::Failed, format!("cannot start a thread: {e}"), e))?;
         if let Some(sources) = tracked.tally.budget() {
-            self.files.add_budget(&run, &sources)?;
+            self.files.add_budget_or_warn(&run, &sources);
         }
         Ok(tracked)
     }

@@ -15,6 +15,7 @@
 //! A serial device is mostly opened while it sends: bare numbers whose beginning was not seen (`5, 0.3` of `-0.125,
 //! 0.3`) would be a wrong current, and are left out.
 
+mod followed;
 mod parser;
 
 pub(crate) use parser::currents_of;
@@ -22,6 +23,7 @@ pub(crate) use parser::currents_of;
 use super::listener::Listener;
 use crate::sink::CurrentSample;
 use crate::source::host::HostClock;
+use followed::Followed;
 use parser::{Parser, Start};
 use std::fmt;
 use std::fs::File;
@@ -146,7 +148,7 @@ impl CurrentSource {
                 thread.spawn(move || parser.lines(line, Start::Anywhere, POLL_INTERVAL, &stop))?;
             }
             Self::File(table) => {
-                let reader = parser.headed(File::open(table)?)?;
+                let reader = parser.headed(Followed::open(table.clone())?)?;
                 thread.spawn(move || parser.lines(reader, Start::OfLine, STOP_POLL_INTERVAL, &stop))?;
             }
             Self::Play { table, .. } => {

@@ -68,6 +68,9 @@ pub(super) struct Parser {
     /// Number of coils of the first sample, and how many samples have another.
     coils: Option<usize>,
     other_coils: u64,
+    /// Samples of a table whose time is that of their arrival, more or less; and those of other times.
+    timely: u64,
+    untimely: u64,
     /// Who has sent datagrams, and how many.
     senders: BTreeMap<IpAddr, u64>,
 }
@@ -85,6 +88,8 @@ impl Parser {
             full: 0,
             coils: None,
             other_coils: 0,
+            timely: 0,
+            untimely: 0,
             senders: BTreeMap::new(),
         }
     }
@@ -242,6 +247,11 @@ impl Parser {
             }
             Some(sample) => {
                 self.count_coils(sample.current_a.len());
+                if is_timely(&sample) {
+                    self.timely += 1;
+                } else {
+                    self.untimely += 1;
+                }
                 if self.samples.try_send(sample).is_err() {
                     self.full += 1;
                     if self.full == 1 {
@@ -253,9 +263,14 @@ impl Parser {
                 self.wrong += 1;
                 if self.wrong == 1 {
                     let said = String::from_utf8_lossy(bytes.get(..bytes.len().min(60)).unwrap_or_default());
+                    let why = if has_decimal_commas(&said) {
+                        ": with `;` between the currents, a comma can only be a decimal comma: write decimal points"
+                    } else {
+                        ""
+                    };
                     tracing::warn!(
-                        "{}: `{}` is no sample of currents; expected {{\"current_a\":[0.1,0]}} or 0.1, 0; more are \
-                         counted",
+                        "{}: `{}` is no sample of currents{why}; expected {{\"current_a\":[0.1,0]}} or 0.1, 0; more \
+                         are counted",
                         self.name,
                         said.escape_debug()
                     );
@@ -282,12 +297,12 @@ impl Parser {
     /// Whether the current is one that the amplifier can give, and its time one of this run. (The times of a table may
     /// be those of an earlier start of the program that writes it.)
     fn is_plausible(&self, sample: &CurrentSample) -> bool {
-        let in_time = sample.host_ns.abs_diff(sample.arrival_ns) <= MAX_SAMPLE_AGE_NS.unsigned_abs();
-        (in_time || self.columns.is_some()) && sample.current_a.iter().all(|a| a.abs() <= self.limit_a)
+        (is_timely(sample) || self.columns.is_some()) && sample.current_a.iter().all(|a| a.abs() <= self.limit_a)
     }
 
-    /// Says at the end what was left out.
+    /// Says at the end what was left out, and what may be wrong with the rest.
     fn report(&self) {
+        self.doubts().iter().for_each(|doubt| tracing::warn!("{}: {doubt}", self.name));
         for (count, what) in [
             (self.wrong, "lines were no samples"),
             (self.implausible, "samples were not plausible"),
@@ -304,6 +319,19 @@ impl Parser {
         }
     }
 
+    /// What is odd in all samples together.
+    fn doubts(&self) -> Vec<String> {
+        let silent = self.coils.is_none() && !self.is_timed_from_start();
+        let silent = silent.then(|| "no sample of currents was received in the whole run".to_owned());
+        let untimely = (self.timely == 0 && self.untimely > 0).then(|| {
+            format!(
+                "none of {} samples has a time of this run: host_ns is in nanoseconds since 1970, unix_s in seconds",
+                self.untimely
+            )
+        });
+        silent.into_iter().chain(untimely).collect()
+    }
+
     fn sample(&self, bytes: &[u8], arrival_ns: i64) -> Option<CurrentSample> {
         let text = std::str::from_utf8(bytes).ok()?.trim();
         let sample = match (&self.columns, text.starts_with('{')) {
@@ -311,6 +339,8 @@ impl Parser {
                 let Json { current_a, seq, host_ns } = serde_json::from_str(text).ok()?;
                 CurrentSample { host_ns: host_ns.unwrap_or(arrival_ns), arrival_ns, seq, current_a }
             }
+            // `0,4; 0,2` are two currents, not four.
+            (None, false) if has_decimal_commas(text) => return None,
             (None, false) => {
                 let numbers = text.split([',', ';', ' ', '\t']).filter(|cell| !cell.is_empty());
                 let current_a = numbers.map(|cell| cell.parse().ok()).collect::<Option<_>>()?;
@@ -336,6 +366,16 @@ impl Parser {
         let sound = (1..=MAX_COILS).contains(&sample.current_a.len()) && sample.current_a.iter().all(|a| a.is_finite());
         sound.then_some(sample)
     }
+}
+
+/// Whether the time of a sample is near that of its arrival.
+fn is_timely(sample: &CurrentSample) -> bool {
+    sample.host_ns.abs_diff(sample.arrival_ns) <= MAX_SAMPLE_AGE_NS.unsigned_abs()
+}
+
+/// Whether a line of bare numbers has both separators, of which one is then a decimal comma.
+fn has_decimal_commas(line: &str) -> bool {
+    !line.trim_start().starts_with('{') && line.contains(';') && line.contains(',')
 }
 
 /// Takes bytes for datagrams, and for lines of tables.
@@ -369,6 +409,30 @@ mod tests {
         assert_eq!(full, CurrentSample { host_ns: 5, arrival_ns: 99, seq: Some(7), current_a: vec![0.1, -0.2] });
         let bare = of(" 0.1, 0 -3e-2\n").unwrap();
         assert_eq!(bare, CurrentSample { host_ns: 99, arrival_ns: 99, seq: None, current_a: vec![0.1, 0.0, -0.03] });
+    }
+
+    #[test]
+    fn silence_and_times_of_another_unit_are_told_at_the_end() {
+        let (mut table, _line) = parser(columns("host_ns,i1").ok());
+        assert!(table.doubts().concat().contains("no sample of currents was received"), "{:?}", table.doubts());
+        let now = table.clock.now_ns();
+        table.take(format!("{},0.1", now / 1000).as_bytes());
+        assert!(table.doubts().concat().contains("none of 1 samples has a time of this run"), "{:?}", table.doubts());
+        table.take(format!("{now},0.1").as_bytes());
+        assert!(table.doubts().is_empty(), "{:?}", table.doubts());
+    }
+
+    #[test]
+    fn decimal_commas_are_not_taken_for_more_currents() {
+        let (mut parser, line) = parser(None);
+        for wrong in ["0,4; 0,2", "0,4;0", "1;0,5"] {
+            parser.take(wrong.as_bytes());
+        }
+        assert_eq!((parser.wrong, line.try_recv().is_err()), (3, true));
+        for right in ["0.4; 0.2", "0.4, 0.2", "0.4 0.2"] {
+            parser.take(right.as_bytes());
+            assert_eq!(line.try_recv().unwrap().current_a, [0.4, 0.2], "{right}");
+        }
     }
 
     #[test]
