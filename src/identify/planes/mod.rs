@@ -490,7 +490,8 @@ mod tests {
         let found = identify(&[noisy], &[], &names(), settings).unwrap();
         let told: Vec<String> = found.diagnostics.iter().map(ToString::to_string).collect();
         assert!(told.len() == 1 && told[0].starts_with("theta_y by the full model: its simulation leaves"), "{told:?}");
-        // Judged by a record of reversed currents.
+        // Judged by a record of reversed currents, with no other order to choose.
+        let settings = Settings { orders: (4, 4), ..settings };
         let mut reversed = record(1500, 1e-3, 2);
         reversed.input.neg_mut();
         let found = identify(&[record(3000, 1e-3, 1)], &[reversed], &names(), settings).unwrap();
