@@ -349,7 +349,8 @@ impl MultisineArgs {
             Phases::Random { seed, tries } => format!("random, the best of {tries} from seed {seed}"),
         };
         let sines = format!("{lines}, {:.6} Hz apart", 1.0 / self.period);
-        let settings = vec![line("Sines", sines), line("Phases", words), line("Period", format!("{} s", self.period))];
+        let period = format!("{} s{}", self.period, periods_words(common.duration / self.period));
+        let settings = vec![line("Sines", sines), line("Phases", words), line("Period", period)];
         Ok(DescribedSignal { signal, clipped, info: common.info("multisine", Some((self.from, self.to)), settings) })
     }
 }
@@ -368,7 +369,7 @@ impl StepsArgs {
         } else {
             // For steps a slew limit means ramps; levels beyond the current limit are refused.
             Limits { slew_a_s: None, ..common.limits() }.check(&signal)?;
-            common.limits().check_steps(&signal, self.hold)?;
+            common.limits().check_steps(&signal, steps.held_s(common.rate))?;
             common.limits().ramp(&mut signal).into_iter().collect()
         };
         let levels: Vec<String> = self.levels.iter().map(|level| format!("{:.1}", level * 1e3)).collect();
@@ -378,11 +379,27 @@ impl StepsArgs {
         };
         let settings = vec![
             line("Levels", format!("{} mA", levels.join(", "))),
-            line("Held", format!("{} s each", self.hold)),
+            line("Held", held_words(steps.held_s(common.rate), self.hold)),
             line("Order", words),
         ];
         Ok(DescribedSignal { signal, clipped, info: common.info("steps", None, settings) })
     }
+}
+
+/// How long each level is held: whole rows, which the time asked for need not be.
+fn held_words(held_s: f64, asked_s: f64) -> String {
+    if (held_s - asked_s).abs() < 1e-6 * asked_s {
+        return format!("{asked_s} s each");
+    }
+    format!("{held_s:.6} s each, the whole rows nearest to the {asked_s} s asked for")
+}
+
+/// What is worth knowing of the number of periods.
+fn periods_words(periods: f64) -> String {
+    if (periods - periods.round()).abs() < 1e-6 * periods.max(1.0) {
+        return String::new();
+    }
+    format!("; {periods:.3} of them, the last is cut off and cannot be averaged: --duration in whole periods")
 }
 
 fn summary(made: &DescribedSignal, spectrum: &Spectrum, table: &Path, page: Option<&Path>) -> String {

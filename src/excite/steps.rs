@@ -31,6 +31,16 @@ pub(crate) struct Steps {
 }
 
 impl Steps {
+    /// Rows for which each level is held: the nearest whole number.
+    fn held_rows(&self, rate: FrameRate) -> usize {
+        (self.hold_s * rate.hz()).round() as usize
+    }
+
+    /// How long each level is held, seconds.
+    pub(crate) fn held_s(&self, rate: FrameRate) -> f64 {
+        self.held_rows(rate) as f64 / rate.hz()
+    }
+
     /// The signal at `rate`.
     ///
     /// # Errors
@@ -43,11 +53,11 @@ impl Steps {
         if different.len() < 2 {
             return Err(ExciteError::Levels { found: different.len() });
         }
-        let (all, hold) = (samples(rate, self.duration_s)?, self.hold_s * rate.hz());
-        if !(hold.is_finite() && hold.round() >= 2.0) {
+        let (all, held_rows) = (samples(rate, self.duration_s)?, self.held_rows(rate));
+        if !self.hold_s.is_finite() || held_rows < 2 {
             return Err(ExciteError::Hold { hold_s: self.hold_s, rate_hz: rate.hz() });
         }
-        let levels = all.div_ceil(hold.round() as usize);
+        let levels = all.div_ceil(held_rows);
         let levels: Vec<f64> = match self.order {
             Order::Staircase => self.levels_a.iter().copied().cycle().take(levels).collect(),
             Order::Random { seed } => {
@@ -61,7 +71,7 @@ impl Steps {
                 (0..levels).filter_map(|_| draw()).collect()
             }
         };
-        let held = levels.into_iter().flat_map(|level| std::iter::repeat_n(level, hold.round() as usize));
+        let held = levels.into_iter().flat_map(|level| std::iter::repeat_n(level, held_rows));
         Ok(Signal { rate, values_a: held.take(all).collect(), resolution: Resolution::TABLE })
     }
 }

@@ -57,8 +57,21 @@ pub struct Bandwidth {
     pub definition: Definition,
     /// Hz; `None` when the response does not fall that far.
     pub frequency_hz: Option<f64>,
+    /// The frequency whose gain it is relative to, Hz, if it is to a gain.
+    pub reference_hz: Option<f64>,
     /// Whether it, or its reference, lies outside the excited band.
     pub extrapolated: bool,
+}
+
+impl Bandwidth {
+    /// Its definition for people, with the frequency it refers to.
+    pub fn words(&self) -> String {
+        let words = self.definition.words();
+        match (self.definition, self.reference_hz) {
+            (Definition::ReLowestExcited, Some(hz)) => format!("{words} ({hz:.3} Hz)"),
+            _ => words.to_owned(),
+        }
+    }
 }
 
 /// The bandwidth of a response up to `highest_hz`, from data excited in `excited_hz`.
@@ -113,11 +126,17 @@ pub(crate) fn bandwidth(
     });
     let outside = |f: f64| f < excited_hz.0 * (1.0 - 1e-9) || f > excited_hz.1;
     // The gain at zero frequency is a reference; −45° is compared with nothing.
+    let reference_hz = match definition {
+        Definition::ReDc => Some(0.0),
+        Definition::ReLowestExcited => Some(excited_hz.0),
+        Definition::Phase45 => None,
+    };
     let reference_outside = match definition {
         Definition::ReDc => excited_hz.0 > 0.0,
         Definition::ReLowestExcited | Definition::Phase45 => false,
     };
-    Bandwidth { definition, frequency_hz, extrapolated: reference_outside || frequency_hz.is_some_and(outside) }
+    let extrapolated = reference_outside || frequency_hz.is_some_and(outside);
+    Bandwidth { definition, frequency_hz, reference_hz, extrapolated }
 }
 
 #[cfg(test)]
@@ -154,6 +173,7 @@ mod tests {
         assert!(re_dc.extrapolated);
         let re_lowest = eq_7(Definition::ReLowestExcited);
         assert!(!re_lowest.extrapolated);
+        assert_eq!(re_lowest.words(), "−3 dB re lowest excited frequency (0.500 Hz)");
         // None of them is the paper's 1.3 Hz.
         for definition in Definition::ALL {
             let f = eq_7(definition).frequency_hz.unwrap();

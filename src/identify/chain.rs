@@ -19,6 +19,10 @@ use super::spectrum::spectrum;
 use super::uncertainty::Covariance;
 use super::{IdentifyError, arx, instrumental, output_error};
 
+/// Twice the difference of log-likelihoods of models with different delays that noise explains: for one parameter more
+/// it is beyond in one record of a thousand.
+const BY_NOISE: f64 = 10.83;
+
 /// Identifies.
 ///
 /// # Errors
@@ -68,6 +72,7 @@ pub(crate) fn identify_with_progress(
     let how = if unstable_in_band { Reduction { band: None, ..how } } else { how };
     let reduced = reduced.map(|(reduced, _)| reduced).map_err(|e| e.to_string());
     let mut refined = Err("there is no reduced model to begin from".to_owned());
+    let mut other_delays = Vec::new();
     if let Ok(reduced) = &reduced {
         let covariance = reduced_covariance(estimated, reduced, how);
         let title = format!("reduced, order {}", reduced.model.order());
@@ -75,8 +80,11 @@ pub(crate) fn identify_with_progress(
         // 4. the same order fitted to the data itself
         progress("fitting the refined model");
         let how = Reduction { band: how.band.or(Some(excited)), ..how };
-        refined =
-            refine_reduced(&training, estimated, reduced, how, &delays(&settings.choice)).map_err(|e| e.to_string());
+        let found = refine_reduced(&training, estimated, reduced, how, &delays(&settings.choice));
+        refined = found.map_err(|e| e.to_string()).map(|(refined, others)| {
+            other_delays = others;
+            refined
+        });
     }
     if let Ok(refined) = &refined {
         let Estimated { model, covariance, .. } = &refined.estimated;
@@ -108,6 +116,7 @@ pub(crate) fn identify_with_progress(
         full,
         reduced,
         refined,
+        other_delays,
         periodic,
         models,
         fits,
@@ -193,40 +202,57 @@ fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Op
     full.covariance.propagate(full.model.parameters().as_slice(), parameters)
 }
 
-/// Output error of the reduced model's orders. The reduction for the excited band is often closer to the data than the
-/// requested one. The full model's delay need not be that of a model with fewer coefficients: nearby ones are tried as
-/// long as the residual becomes smaller.
+/// Output error of the reduced model's orders, and other delays with which it explains the data about as well. The
+/// reduction for the excited band is often closer to the data than the requested one. The full model's delay need not
+/// be that of a model with fewer coefficients: those next to one that explains the data are tried. Of those that do
+/// about as well, noise decides which does best; the shortest is taken.
 fn refine_reduced(
     training: &[Segment],
     full: &Estimated,
     reduced: &Reduced,
     in_band: Reduction,
     delays: &[usize],
-) -> Result<Refined, IdentifyError> {
+) -> Result<(Refined, Vec<usize>), IdentifyError> {
     let in_band = Reduction { target: Target::Order(reduced.model.order()), ..in_band };
     let mut initial = vec![reduced.model.clone()];
     initial.extend(reduce(&full.model, in_band).ok().map(|r| r.model));
     initial.extend(initial_models(training, reduced.model.orders()));
-    let mut best = output_error::refine_from_any(training, &initial)?;
-    let mut tried = vec![best.estimated.model.nk];
-    loop {
-        let here = &best.estimated.model;
-        let nearby = delays.iter().filter(|nk| nk.abs_diff(here.nk) == 1 && !tried.contains(nk));
-        let nearby: Vec<usize> = nearby.copied().collect();
-        tried.extend(&nearby);
-        let refined = |nk: usize| {
-            let delayed = Polynomials { nk, ..here.clone() };
-            let mut initial = initial_models(training, delayed.orders());
-            initial.push(delayed);
-            output_error::refine_from_any(training, &initial).ok()
+    let first = output_error::refine_from_any(training, &initial)?;
+    let mut tried = vec![first.estimated.model.nk];
+    let mut found = vec![first];
+    let as_well = |found: &[Refined]| -> Vec<Refined> {
+        let least = found.iter().map(|refined| refined.estimated.noise_variance).fold(f64::INFINITY, f64::min);
+        let is_near = |refined: &&Refined| {
+            let Estimated { noise_variance, samples, .. } = refined.estimated;
+            // Twice the difference of the log-likelihoods.
+            samples as f64 * (noise_variance / least).ln() <= BY_NOISE
         };
-        let variance = |refined: &Refined| refined.estimated.noise_variance;
-        let found = nearby.into_iter().filter_map(refined).min_by(|a, b| variance(a).total_cmp(&variance(b)));
-        match found.filter(|found| variance(found) < variance(&best)) {
-            Some(found) => best = found,
-            None => return Ok(best),
-        }
+        found.iter().filter(is_near).cloned().collect()
+    };
+    loop {
+        let near = as_well(&found);
+        let next = near.iter().find_map(|refined| {
+            let here = &refined.estimated.model;
+            let nk = delays.iter().find(|nk| nk.abs_diff(here.nk) == 1 && !tried.contains(nk))?;
+            Some(Polynomials { nk: *nk, ..here.clone() })
+        });
+        let Some(delayed) = next else {
+            let (shortest, others) = split_shortest(near).ok_or(IdentifyError::NoneDetermined)?;
+            return Ok((shortest, others));
+        };
+        tried.push(delayed.nk);
+        let mut initial = initial_models(training, delayed.orders());
+        initial.push(delayed);
+        found.extend(output_error::refine_from_any(training, &initial).ok());
     }
+}
+
+/// That with the shortest delay, and the delays of the others, rising.
+fn split_shortest(mut found: Vec<Refined>) -> Option<(Refined, Vec<usize>)> {
+    found.sort_by_key(|refined| refined.estimated.model.nk);
+    let mut found = found.into_iter();
+    let shortest = found.next()?;
+    Some((shortest, found.map(|refined| refined.estimated.model.nk).collect()))
 }
 
 /// The delays that may be chosen, rising.

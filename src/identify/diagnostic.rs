@@ -43,6 +43,13 @@ pub enum Diagnostic {
         /// Simulation error, % of the energy.
         error_percent: f64,
     },
+    /// Coils whose currents nearly always change together.
+    Together {
+        /// The coils.
+        coils: Vec<String>,
+        /// How much of the currents' motion tells them apart, relative to what they do together.
+        ratio: f64,
+    },
     /// The regressors are nearly dependent.
     IllConditioned {
         /// Condition number.
@@ -165,6 +172,15 @@ pub enum Diagnostic {
         /// Why.
         why: String,
     },
+    /// Other delays explain the data about as well.
+    OtherDelays {
+        /// The model.
+        title: String,
+        /// Its delay, samples (nk).
+        nk: usize,
+        /// The others.
+        others: Vec<usize>,
+    },
     /// A search for the smallest error did not converge.
     NotConverged {
         /// The model.
@@ -232,6 +248,14 @@ impl fmt::Display for Diagnostic {
                     _ => write!(f, "is this the input that moved it?"),
                 }
             }
+            Self::Together { coils, ratio } => write!(
+                f,
+                "the currents of {} change almost only together ({:.1} % of it apart): which of them moves the \
+                 catheter is hardly known, and their responses have errors larger than they look; let each change on \
+                 its own (catoptra excite multisine, with other seeds)",
+                coils.join(" and "),
+                100.0 * ratio
+            ),
             Self::IllConditioned { condition } => {
                 write!(
                     f,
@@ -326,6 +350,12 @@ impl fmt::Display for Diagnostic {
                 "reduced to order {asked}: the full model has only {has} states that matter, and they are all kept"
             ),
             Self::NotRefined { why } => write!(f, "there is no refined model: {why}"),
+            Self::OtherDelays { title, nk, others } => write!(
+                f,
+                "{title}: nk {} would explain the data about as well as nk {nk}, the shortest, which is taken; its \
+                 numerator and σ hold for that delay. Where it is known, give it with --nk",
+                others.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
+            ),
             Self::NotConverged { title, steps } => write!(f, "{title}: the search did not converge in {steps} steps"),
             Self::NotSteady { off, skipped } => write!(
                 f,

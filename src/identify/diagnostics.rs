@@ -109,6 +109,10 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     } else if let Err(why) = &done.refined {
         diagnostics.push(Diagnostic::NotRefined { why: why.clone() });
     }
+    if let (Some(model), false) = (done.model(Role::Refined), done.other_delays.is_empty()) {
+        let (title, nk, others) = (model.title.clone(), model.model.nk, done.other_delays.clone());
+        diagnostics.push(Diagnostic::OtherDelays { title, nk, others });
+    }
     diagnostics.extend(of_periods(done));
     let refined = done.refined.as_ref().ok().map(|r| (Role::Refined, r));
     let refined = refined.into_iter().chain(done.periodic.as_ref().map(|p| (Role::Periodic, &p.refined)));

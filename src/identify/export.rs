@@ -334,6 +334,7 @@ fn bandwidths(modelled: &Modelled) -> Vec<Value> {
             "of": modelled.bandwidths_are_of.name(),
             "frequency_hz": estimate.bandwidth.frequency_hz,
             "interval_95_hz": estimate.interval_hz.map(|(low, high)| [low, high]),
+            "reference_hz": estimate.bandwidth.reference_hz,
             "extrapolated": estimate.bandwidth.extrapolated,
         })
     };

@@ -13,6 +13,8 @@ use crate::plural::plural;
 const TOLERANCE: f64 = 0.25;
 /// Most places of a grid, besides ten per sample: a camera that pauses for a day at 20 Hz has fewer.
 const MAX_PLACES: usize = 2_000_000;
+/// Periods by which a new one may be longer than the usual interval, or a multiple of it, and count as that.
+const HARDLY_LONGER: f64 = 0.1;
 /// Longest interval that resampling bridges, in periods.
 const LONGEST_BRIDGED: f64 = 2.5;
 
@@ -266,6 +268,17 @@ fn lagrange(points: &[(f64, f64)], x: f64) -> f64 {
         yi * others.map(|(_, (xj, _))| (x - xj) / (xi - xj)).product::<f64>()
     };
     points.iter().enumerate().map(term).sum()
+}
+
+/// How many samples, no further apart than the record's usually are, fit into a longer period; 1 for one that is hardly
+/// longer.
+///
+/// # Errors
+/// As [`resample`].
+pub(crate) fn coarser(series: &Series, period_s: f64) -> Result<usize, GridError> {
+    let usual = usual_interval(&series.name, &series.time_s)?;
+    let most = series.time_s.len() as f64;
+    Ok((period_s / usual - HARDLY_LONGER).ceil().clamp(1.0, most) as usize)
 }
 
 /// A record resampled at even times, by default at its usual interval: outputs by linear interpolation between samples

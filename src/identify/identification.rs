@@ -43,6 +43,8 @@ pub struct Identification {
     pub reduced: Result<Reduced, String>,
     /// Output error of the reduced order, or why there is none.
     pub refined: Result<Refined, String>,
+    /// Other delays with which the refined model explains the data about as well, samples (nk), rising.
+    pub other_delays: Vec<usize>,
     /// The model of the lines of averaged periods, if the input was declared to repeat.
     pub periodic: Option<Periodic>,
     /// The models: full, then reduced, refined and periodic where they are.

@@ -55,6 +55,7 @@ pub(crate) mod planes;
 
 pub(crate) mod bandwidth;
 pub(crate) mod bootstrap;
+mod excited;
 pub(crate) mod fit;
 mod jump;
 pub(crate) mod modelled;

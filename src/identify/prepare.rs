@@ -7,6 +7,10 @@ use std::f64::consts::PI;
 const HALF_TAPS: usize = 5;
 /// Its cutoff, as a fraction of the new Nyquist frequency.
 const CORNER: f64 = 0.8;
+/// Nothing of more than this fraction of the new rate passes it: less than 0.5 %.
+const PASSES: f64 = 0.62;
+/// Frequencies over which its response is integrated.
+const INTEGRATED: usize = 400;
 
 /// What is removed from input and output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -83,34 +87,35 @@ impl Trend {
     }
 }
 
-/// Every `factor`-th sample after a low-pass filter (windowed sinc, Hamming, zero phase), the same for all signals, so
-/// that their relation is unchanged. The input, which is held from sample to sample, is averaged over the new, longer
-/// hold. Five samples of the result are lost at both ends of every segment. All segments keep to one grid: that of
-/// every `factor`-th place of the record's.
+/// Every `factor`-th sample after a low-pass filter (windowed sinc, Hamming, zero phase).
+///
+/// What is held from sample to sample, the input, no longer is after it: as the input of a model that holds it for the
+/// whole new period, it must be larger at high frequencies. Held for `T` a signal loses sinc(f T); held for `factor` T,
+/// 1/D(f) more, with D(f) = sin(π factor f T)/(factor sin(π f T)). Averaging it over the new hold loses D(f) besides
+/// and brings it to the hold's centre; [`for_held`] gives back both.
+///
+/// Five samples of the result are lost at both ends of every segment. All segments keep to one grid: that of every
+/// `factor`-th place of the record's.
 pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
     let half = HALF_TAPS * factor;
-    let corner = CORNER / factor as f64;
-    let tap = |k: usize| {
-        let x = k as f64 - half as f64;
-        let sinc = if x == 0.0 { corner } else { (PI * corner * x).sin() / (PI * x) };
-        sinc * (0.54 + 0.46 * (PI * x / half as f64).cos())
-    };
-    let taps: Vec<f64> = (0..=2 * half).map(tap).collect();
-    let sum: f64 = taps.iter().sum();
-    let filtered = |signal: &[f64]| -> Vec<f64> {
-        signal.windows(taps.len()).map(|w| w.iter().zip(&taps).map(|(v, tap)| v * tap).sum::<f64>() / sum).collect()
+    let low_pass = low_pass(factor);
+    let for_held = for_held(&low_pass, factor);
+    let filtered = |signal: &[f64], taps: &[f64]| -> Vec<f64> {
+        signal.windows(taps.len()).map(|w| w.iter().zip(taps).map(|(v, tap)| v * tap).sum::<f64>()).collect()
     };
     let held = |signal: &[f64]| -> Vec<f64> {
-        filtered(signal).chunks_exact(factor).map(|hold| hold.iter().sum::<f64>() / factor as f64).collect()
+        let filtered = filtered(signal, &for_held);
+        filtered.chunks_exact(factor).map(|hold| hold.iter().sum::<f64>() / factor as f64).collect()
     };
     let thinned = |segment: &Segment| {
         let first = segment.first.div_ceil(factor);
         let skip = first * factor - segment.first;
         let input = held(from(&segment.input, skip));
+        let output = filtered(from(&segment.output, skip), &low_pass);
         Segment {
             first: first + HALF_TAPS,
             start_s: segment.start_s + (skip + half) as f64 * period_s,
-            output: filtered(from(&segment.output, skip)).into_iter().step_by(factor).take(input.len()).collect(),
+            output: output.into_iter().step_by(factor).take(input.len()).collect(),
             instrument: segment.instrument.as_deref().map(|signal| held(from(signal, skip))),
             by_zero: segment.by_zero.as_deref().map(|signal| held(from(signal, skip))),
             record: segment.record,
@@ -120,6 +125,44 @@ pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record 
     };
     let segments = record.segments.iter().map(thinned).filter(|s| !s.is_empty()).collect();
     Record { name: record.name.clone(), segments }
+}
+
+/// The filter before every `factor`-th sample is taken, from its first tap to its last.
+fn low_pass(factor: usize) -> Vec<f64> {
+    let half = HALF_TAPS * factor;
+    let corner = CORNER / factor as f64;
+    let tap = |k: usize| {
+        let x = k as f64 - half as f64;
+        let sinc = if x == 0.0 { corner } else { (PI * corner * x).sin() / (PI * x) };
+        sinc * (0.54 + 0.46 * (PI * x / half as f64).cos())
+    };
+    of_sum_1((0..=2 * half).map(tap).collect())
+}
+
+/// The filter, as long as `low_pass`, that comes nearest to its response over D(f)²: the inverse Fourier transform up
+/// to where it lets nothing through, cut at both ends. That leaves 0.15 % up to the frequency where half passes.
+fn for_held(low_pass: &[f64], factor: usize) -> Vec<f64> {
+    let half = HALF_TAPS * factor;
+    let step = (PASSES / factor as f64).min(0.5) / INTEGRATED as f64;
+    // Cycles per sample.
+    let at = |k: usize| (k as f64 + 0.5) * step;
+    let cosine = |f: f64, k: usize| (2.0 * PI * f * (k as f64 - half as f64)).cos();
+    let wanted: Vec<(f64, f64)> = (0..INTEGRATED)
+        .map(|k| {
+            let f = at(k);
+            let passed: f64 = low_pass.iter().enumerate().map(|(k, tap)| tap * cosine(f, k)).sum();
+            let averaged = (PI * factor as f64 * f).sin() / (factor as f64 * (PI * f).sin());
+            (f, passed / averaged.powi(2))
+        })
+        .collect();
+    of_sum_1((0..low_pass.len()).map(|k| wanted.iter().map(|(f, gain)| gain * cosine(*f, k)).sum()).collect())
+}
+
+/// The same, letting a constant through unchanged.
+fn of_sum_1(mut taps: Vec<f64>) -> Vec<f64> {
+    let sum: f64 = taps.iter().sum();
+    taps.iter_mut().for_each(|tap| *tap /= sum);
+    taps
 }
 
 /// The signal without its first samples.
@@ -157,11 +200,41 @@ mod tests {
         let at = |t: f64| (2.0 * PI * 0.3 * t).sin();
         let time = |k: usize| s.start_s + k as f64 * 0.4;
         assert!(s.output.iter().enumerate().all(|(k, v)| (v - at(time(k))).abs() < 0.01));
-        // Averaged over four samples from there: the centre is 0.15 s later.
-        assert!(s.input.iter().enumerate().all(|(k, v)| (v - at(time(k) + 0.15)).abs() < 0.03));
+        // Averaged over four samples from there: the centre is 0.15 s later. Larger by 1/D, D = 0.979.
+        assert!(s.input.iter().enumerate().all(|(k, v)| (v - at(time(k) + 0.15) / 0.9789).abs() < 0.01));
         assert_eq!((s.len(), s.input.len()), ((400 - 40) / 4, s.output.len()));
         let fast = decimate(&wave(2.0), 4, 0.1);
         assert!(fast.segments[0].output.iter().all(|v| v.abs() < 0.01));
+    }
+
+    /// A wave that is held for a sample, and its response, make the same model as one that is held for `factor`.
+    #[test]
+    fn a_decimated_input_moves_the_output_as_held_for_the_new_period() {
+        for factor in [1, 2, 3, 6] {
+            let n = 400 * factor;
+            for of_rate in [0.02, 0.1, 0.2, 0.3, 0.4] {
+                let f = of_rate / factor as f64;
+                let wave = |k: usize, late: f64| (2.0 * PI * f * (k as f64 - late)).sin();
+                // An output that is the input itself, held: sinc(f T), half a sample late.
+                let passed = (PI * f).sin() / (PI * f);
+                let segment = Segment {
+                    input: (0..n).map(|k| wave(k, 0.0)).collect(),
+                    output: (0..n).map(|k| passed * wave(k, 0.5)).collect(),
+                    ..Segment::default()
+                };
+                let thin = decimate(&Record { name: "w".into(), segments: vec![segment] }, factor, 1.0);
+                let thin = &thin.segments[0];
+                let amplitude = |signal: &[f64]| {
+                    let turned =
+                        |(k, v): (usize, &f64)| nalgebra::Complex::from_polar(*v, -2.0 * PI * of_rate * k as f64);
+                    signal.iter().take(200).enumerate().map(turned).sum::<nalgebra::Complex<f64>>()
+                };
+                let gain = amplitude(&thin.output) / amplitude(&thin.input);
+                // Held for the new period.
+                let held = nalgebra::Complex::from_polar((PI * of_rate).sin() / (PI * of_rate), -PI * of_rate);
+                assert!((gain / held - 1.0).norm() < 2e-3, "{factor}, {of_rate}: {}", gain / held);
+            }
+        }
     }
 
     /// A hole of any length leaves what follows at its time, counted in whole samples of the result.

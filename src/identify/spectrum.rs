@@ -7,6 +7,7 @@
 //! biased where the response changes much within one resolution width.
 
 use super::data::Segment;
+use super::excited::{BAND_TAIL, excited_hz};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 use std::f64::consts::TAU;
@@ -19,8 +20,6 @@ const PIECES: usize = 16;
 const INDEPENDENT: f64 = 36.0 / 38.0;
 /// Most missing outputs in a row that are bridged by a line, only here, so that a few points do not cost a piece.
 const MAX_BRIDGED: usize = 6;
-/// Fraction of the input's energy outside the excited band at either end.
-const BAND_TAIL: f64 = 0.01;
 
 /// The response at one frequency.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -106,14 +105,19 @@ pub(crate) fn spectrum(segments: &[Segment], period_s: f64) -> Option<Spectrum> 
         }
     });
     let points: Vec<Point> = points.collect();
-    let excited_hz = band(&points, |p| p.input_power);
-    Some(Spectrum { excited_hz, points, resolution_hz, pieces: pieces as usize })
+    Some(Spectrum { excited_hz: excited_hz(segments, period_s), points, resolution_hz, pieces: pieces as usize })
 }
 
 impl Spectrum {
     /// Frequency below which 99 % of the output's energy lies, Hz.
     pub fn output_ends_hz(&self) -> f64 {
-        band(&self.points, |p| p.output_power).1
+        let total: f64 = self.points.iter().map(|p| p.output_power).sum();
+        let mut sum = 0.0;
+        let reached = self.points.iter().find(|p| {
+            sum += p.output_power;
+            sum >= (1.0 - BAND_TAIL) * total
+        });
+        reached.or(self.points.last()).map_or(0.0, |p| p.frequency_hz)
     }
 }
 
@@ -137,20 +141,6 @@ fn bridged(signal: &[f64]) -> Vec<f64> {
         }
     }
     filled
-}
-
-/// The band that contains all but 1 % at either end.
-fn band(points: &[Point], power: impl Fn(&Point) -> f64) -> (f64, f64) {
-    let total: f64 = points.iter().map(&power).sum();
-    let reaches = |part: f64| {
-        let mut sum = 0.0;
-        let reached = points.iter().find(|p| {
-            sum += power(p);
-            sum >= part * total
-        });
-        reached.or(points.last()).map_or(0.0, |p| p.frequency_hz)
-    };
-    (reaches(BAND_TAIL), reaches(1.0 - BAND_TAIL))
 }
 
 #[cfg(test)]

@@ -163,6 +163,28 @@ fn the_refined_model_finds_its_own_delay() {
     }
 }
 
+/// Noise of a fifth of the output hides a sample of delay: the shortest is taken, and the other is told.
+#[test]
+fn of_delays_that_explain_about_as_well_the_shortest_is_taken() {
+    // 40/(s² + 4 s + 40) at 60 Hz.
+    let truth = Polynomials { a: vec![1.0, -1.924_768, 0.935_507], b: vec![0.005_429, 0.005_310], nk: 1 };
+    let orders = (1..=8).flat_map(|n| (1..=5).map(move |nk| Orders { na: n, nb: n, nk }));
+    let settings = settings(Choice::Search { candidates: orders.collect(), criterion: None });
+    let found = |seed: u64, part: f64| {
+        let input: Vec<f64> = noise(seed, 300).into_iter().flat_map(|level| [level; 6]).collect();
+        let clean = truth.simulate(&input);
+        let sd = part * (clean.iter().map(|y| y * y).sum::<f64>() / clean.len() as f64).sqrt();
+        let output = clean.iter().zip(noise(seed + 100, clean.len())).map(|(y, e)| y + sd * e).collect();
+        let segment = Segment { input, output, from_rest: true, ..Segment::default() };
+        let data = Data { training: records(segment), period_s: 1.0 / 60.0, ..Data::default() };
+        let done = identify(&data, &settings).unwrap();
+        let told = done.diagnostics.iter().any(|d| matches!(d, Diagnostic::OtherDelays { nk: 1, .. }));
+        (done.refined.unwrap().estimated.model.nk, told)
+    };
+    assert!((1..=12).all(|seed| found(seed, 0.2) == (1, true)));
+    assert!((1..=3).all(|seed| found(seed, 0.02) == (1, false)));
+}
+
 #[test]
 fn white_noise_on_the_output_biases_arx_and_not_the_refined() {
     let data = [oe_data(7, 20_000, 1.0)];

@@ -3,6 +3,7 @@
 use super::html::{Html, escape};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use plotly::Plot;
+use std::fmt::Display;
 use std::io::{self, Write};
 use std::sync::OnceLock;
 
@@ -45,6 +46,18 @@ pub(super) fn card(name: impl Into<Html>, value: impl Into<Html>, unit: impl Int
     let (name, value, unit) = (name.into(), value.into(), unit.into());
     let class = if warn { " class=\"warn\"" } else { "" };
     format!("<div{class}><dt>{name}</dt><dd>{value} <small>{unit}</small></dd></div>\n")
+}
+
+/// What to know before the results are used; nothing when there are no doubts.
+pub(super) fn doubts(doubts: &[impl Display]) -> String {
+    if doubts.is_empty() {
+        return String::new();
+    }
+    let items: String = doubts.iter().map(|doubt| format!("<li>{}</li>\n", escape(&doubt.to_string()))).collect();
+    format!(
+        "<div class=\"doubts\"><p><strong>To be known before the numbers are \
+         used:</strong></p>\n<ul>\n{items}</ul></div>\n"
+    )
 }
 
 /// Names and values.

@@ -24,9 +24,10 @@ pub(crate) fn page(found: &Planes, coils: &[String], records: &[&Motion]) -> Str
         card("Reduced", errors(|j| j.reduced), "%, last record", false),
     ];
     let mut body = format!(
-        "<h1>Both planes</h1>\n<p class=\"sub\">{}, from {}</p>\n<dl class=\"key\">\n{}</dl>\n",
+        "<h1>Both planes</h1>\n<p class=\"sub\">{}, from {}</p>\n{}<dl class=\"key\">\n{}</dl>\n",
         escape(&name),
         escape(&coils.join(", ")),
+        page::doubts(&found.diagnostics),
         cards.concat()
     );
     body += "<h2>Error energy of the simulation, percent</h2>\n";

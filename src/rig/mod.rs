@@ -8,6 +8,7 @@
 //! - [`check::check`]: what the rig means in words and numbers, and whether its views trace and project consistently.
 //! - [`formats`]: cameras read from and written for OpenCV, ROS and Kalibr; views as DLT coefficients.
 
+mod base_doubts;
 pub mod check;
 mod covariance;
 mod draft;
@@ -22,6 +23,7 @@ mod walk;
 mod warnings;
 mod write;
 
+pub(crate) use base_doubts::base_doubts;
 pub use error::RigError;
 pub(crate) use error::nearest;
 pub(crate) use validate::longest_stiff_m;

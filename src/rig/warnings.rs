@@ -1,5 +1,6 @@
 //! What a user should know about a rig before measuring with it.
 
+use super::base_doubts::base_doubts;
 use super::view_check::{ClosestApproach, ViewCheck};
 use super::walk::grid;
 use super::{Base, Draft, Marker, View, polygon};
@@ -110,6 +111,11 @@ pub enum Warning {
         /// Angle between B0 and the base's x-z plane, on the side of +x, radians.
         angle_rad: f64,
     },
+    /// Directions in the base frame that no experiment has.
+    Directions {
+        /// The doubt.
+        what: String,
+    },
     /// The lens blur has not been measured.
     NoBlur,
     /// A calibration had a doubt about its own result.
@@ -191,6 +197,7 @@ impl fmt::Display for Warning {
                 "b0 is {:.1}° off the base frame's x-z plane (towards +x), where it belongs by definition",
                 angle_rad.to_degrees()
             ),
+            Self::Directions { what } => write!(f, "{what}"),
             Self::NoBlur => write!(f, "camera.blur_px is not given: the blur of the lens will be assumed"),
             Self::Doubt { step, what } => write!(f, "`calibrate {step}` doubted its own result: {what}"),
         }
@@ -254,7 +261,10 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
     let begun = !rig.markers.is_empty();
     match &rig.base {
         None => found.extend(begun.then_some(Warning::NoBase)),
-        Some(base) => found.extend(b0_off_plane(base)),
+        Some(base) => {
+            found.extend(b0_off_plane(base));
+            found.extend(base_doubts(base).into_iter().map(|what| Warning::Directions { what }));
+        }
     }
     found.extend((begun && rig.camera.blur_px.is_none()).then_some(Warning::NoBlur));
     found

@@ -23,6 +23,7 @@ mod align;
 mod circle;
 mod error;
 mod lag;
+mod lead;
 mod options;
 mod path;
 mod pauses;
@@ -81,6 +82,9 @@ pub(crate) fn validate(
     unwrap(&mut phases);
     for (run, phase) in runs.iter_mut().zip(phases) {
         run.phase_deg = phase;
+    }
+    if let Some(slowest) = runs.first_mut() {
+        slowest.notes.extend(lead::note(slowest));
     }
     runs.reverse();
     Ok(Validation { path, options, runs })

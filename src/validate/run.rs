@@ -23,7 +23,7 @@ const STILL_AXIS: f64 = 0.02;
 /// Below this correlation the path explains less than half of the observed motion (its square): it is another motion. A
 /// catheter that follows a lemniscate far above its corner still reaches 0.87, most reach 0.99; a circle along a
 /// lemniscate 0.63.
-const WEAK_CORRELATION: f64 = 0.7;
+pub(super) const WEAK_CORRELATION: f64 = 0.7;
 /// Sizes of motion and path that differ by more than this factor are hardly in the same unit.
 const OTHER_UNIT: f64 = 20.0;
 /// More commands than this fraction without a point are noted.

@@ -141,3 +141,22 @@ fn scipy_makes_the_same_chirps() {
         assert!(output.status.success(), "{}", stderr(&output));
     }
 }
+
+/// What is printed is what the table holds: whole rows, and whole periods or not.
+#[test]
+fn holds_and_periods_that_are_not_whole_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let steps = ["steps", "--levels", "0mA,50mA", "--duration", "2s", "--rate", "60", "--hold"];
+    let (table, message) = made(folder.path(), &[&steps[..], &["0.04s"]].concat());
+    assert!(message.contains("0.033333 s each, the whole rows nearest to the 0.04 s asked for"), "{message}");
+    let changes = table.rows.windows(2).filter(|pair| pair[0].values_a != pair[1].values_a).map(|pair| pair[1].time_ns);
+    let changes: Vec<i64> = changes.collect();
+    assert!(changes.windows(2).all(|pair| ((pair[1] - pair[0]) as f64 * 1e-9 - 0.033333).abs() < 1e-5), "{changes:?}");
+    let (_, message) = made(folder.path(), &[&steps[..], &["0.05s"]].concat());
+    assert!(message.contains("0.05 s each\n"), "{message}");
+    let multisine = ["multisine", "--period", "20s", "--duration"];
+    let (_, message) = made(folder.path(), &[&multisine[..], &["50s"]].concat());
+    assert!(message.contains("20 s; 2.500 of them, the last is cut off"), "{message}");
+    let (_, message) = made(folder.path(), &[&multisine[..], &["60s"]].concat());
+    assert!(message.contains("20 s\n"), "{message}");
+}

@@ -343,3 +343,49 @@ fn a_gain_and_a_model_of_fewer_states_than_asked_are_whole() {
     assert_eq!((one["reduced"]["order"].clone(), one["reduced"]["den_z"].clone()), (1.into(), one["arx"]["a"].clone()));
     assert!(one["continuous"]["num"][0].as_f64().is_some());
 }
+
+/// A table of times that disagree with --period is read as asked, with a question.
+#[test]
+fn a_period_that_contradicts_the_tables_times_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    good(folder.path());
+    let told = |period: &str, out: &str| {
+        let columns = ["good.csv", "--input", "u", "--output", "y", "--period", period, "-o", out];
+        let (code, message) = identify(folder.path(), &[&columns, &SECOND]);
+        assert_eq!(code, 0, "{message}");
+        message.contains("--period says 0.1 s from row to row, its column t 0.010000")
+    };
+    assert!(told("0.1", "wrong") && !told("0.01", "right"));
+}
+
+/// 40/(s² + 4 s + 40), moved by an input that is held for a sample: fewer samples, by either way, find it.
+#[test]
+fn fewer_samples_have_the_same_response() {
+    const STEPS: u32 = 50;
+    let folder = tempfile::tempdir().unwrap();
+    let step = 1.0 / (60.0 * f64::from(STEPS));
+    let (mut text, mut y, mut speed, mut random) = ("t,u,y\n".to_owned(), 0.0, 0.0, Random::new(2));
+    for k in 0..3600 {
+        let u = (0.1 * f64::from(k)).sin() + 2.0 * random.uniform() - 1.0;
+        writeln!(text, "{},{u},{}", f64::from(k) / 60.0, y + 0.002 * random.normal()).unwrap();
+        for _ in 0..STEPS {
+            // By the state in the middle of the step.
+            let force = |y: f64, speed: f64| 40.0 * (u - y) - 4.0 * speed;
+            let (half_y, half_speed) = (y + 0.5 * step * speed, speed + 0.5 * step * force(y, speed));
+            (y, speed) = (y + step * half_speed, speed + step * force(half_y, half_speed));
+        }
+    }
+    fs::write(folder.path().join("held.csv"), text).unwrap();
+    for (k, fewer) in [&["--decimate", "3"][..], &["--resample", "--period", "0.05"]].into_iter().enumerate() {
+        let out = format!("out{k}");
+        let (code, message) = identify(folder.path(), &[&["held.csv"], &COLUMNS, fewer, &SECOND, &["-o", &out]]);
+        assert_eq!(code, 0, "{message}");
+        let model = fs::read_to_string(folder.path().join(&out).join("model.json")).unwrap();
+        let model: serde_json::Value = serde_json::from_str(&model).unwrap();
+        let of = |name: &str, at: usize| model["continuous"][name][at].as_f64().unwrap();
+        // Averages that are held instead: 1.1 % too much.
+        for (name, at, truth) in [("num", 1, 40.0), ("den", 1, 4.0), ("den", 2, 40.0)] {
+            assert!((of(name, at) / truth - 1.0).abs() < 4e-3, "{fewer:?}: {name} {at} {}", of(name, at));
+        }
+    }
+}

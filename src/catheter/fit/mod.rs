@@ -17,6 +17,7 @@
 //! taken as given.
 
 mod correlated;
+mod doubts;
 mod moving;
 mod parameter;
 mod search;

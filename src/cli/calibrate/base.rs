@@ -4,7 +4,7 @@ use super::super::progress::Progress;
 use super::super::{Exit, Failure, fitting};
 use super::{can_be_written, save};
 use crate::calibrate::base::{BaseCalibration, BaseError, Field, Observed, Run, calibrate_base, observe};
-use crate::rig::{Base, Rig};
+use crate::rig::{Base, Rig, base_doubts};
 use crate::source::{FrameRate, FrameSource as _, SourceOptions};
 use nalgebra::{Matrix3, Vector3};
 use std::fmt::Write as _;
@@ -129,7 +129,9 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     let mut noted = provenance(args, known.as_ref(), &rest, &planar, &done);
     noted.insert("doubts".into(), Vec::from_iter(doubt).into());
     rig.provenance.insert("base".into(), noted.into());
-    rig.base = Some(Base { gravity, ..done.base });
+    let base = Base { gravity, ..done.base };
+    base_doubts(&base).iter().for_each(|doubt| tracing::warn!("doubt: {doubt}"));
+    rig.base = Some(base);
     let written = save(&rig.into(), out)?;
     print(&format!("\n{written}\n"))
 }

@@ -97,6 +97,9 @@ impl FitArgs {
         for open in &open {
             tracing::warn!("{open}");
         }
+        for doubt in result.doubts() {
+            tracing::warn!("doubt: {doubt}");
+        }
         let checks = |runs: &[Run]| -> Result<Vec<Check>, Failure> {
             runs.iter().map(|run| check(&result.catheter, result.delay_s, run, accuracy).map_err(failure)).collect()
         };

@@ -34,7 +34,10 @@ pub(super) fn run(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
         record.input = record.input.select_columns(&used);
     }
     let (training, judging) = records.split_at(args.records.len());
-    let found = identify(training, judging, settings(args)?).map_err(failure)?;
+    let found = identify(training, judging, &coils, settings(args)?).map_err(failure)?;
+    for diagnostic in &found.diagnostics {
+        tracing::warn!("{diagnostic}");
+    }
     let all: Vec<&Motion> = records.iter().collect();
     let written = {
         let _whole = interrupt::wait();

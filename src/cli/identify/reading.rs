@@ -8,18 +8,23 @@ use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay, Drift, Timing};
 use crate::identify::fit::InitialState;
-use crate::identify::grid::{Grid, Series, cut, resample};
+use crate::identify::grid::{Grid, Series, coarser, cut, resample};
 use crate::identify::hold::{Held, LongHold};
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
 use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::recorded::Observed;
 use crate::identify::zero::Zero;
+use crate::median::median;
 use crate::series::columns;
 use std::path::Path;
 
 /// Fewest samples after decimation.
 const DECIMATION_NEEDS: usize = 11;
+/// Usual names of a column of times.
+const TIMES: [&str; 4] = ["t_s", "time_s", "t", "time"];
+/// Difference between periods that is told, as part of them.
+const SAME_PERIOD: f64 = 0.01;
 /// Current beyond which a unit is more likely to be wrong than the current right.
 const MOST_AMPERES: f64 = 50.0;
 /// Angle below which all of a record is hardly a deflection in degrees.
@@ -176,7 +181,10 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
             .enumerate()
             .map(|(row, t)| t.ok_or_else(|| Failure::usage(format!("{name}: the time of row {} is missing", row + 1))))
             .collect::<Result<Vec<_>, _>>()?,
-        (None, Some(period)) => (0..drive.len()).map(|k| k as f64 * period).collect(),
+        (None, Some(period)) => {
+            warn_of_another_time(file, period);
+            (0..drive.len()).map(|k| k as f64 * period).collect()
+        }
         (None, None) => {
             return Err(Failure::usage("the time from row to row is not known: give --period S, or --time COLUMN"));
         }
@@ -198,12 +206,45 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     Ok(Read { record, summary })
 }
 
+/// Warns if a table that is read with a given period has a column of times with another.
+fn warn_of_another_time(file: &Path, period_s: f64) {
+    for name in TIMES {
+        let Ok(read) = columns(file, &[name]) else { continue };
+        let times: Vec<f64> = read.into_iter().flatten().flatten().collect();
+        let steps = times.iter().zip(times.iter().skip(1)).map(|(before, after)| after - before);
+        let Some(step) = median(steps).filter(|step| (step / period_s - 1.0).abs() > SAME_PERIOD) else { return };
+        tracing::warn!(
+            "{}: --period says {period_s} s from row to row, its column {name} {step:.6}: if that is in seconds, give \
+             --time {name} instead",
+            file.display()
+        );
+        return;
+    }
+}
+
 fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failure> {
-    let resampled = args.resample.then(|| resample(series, args.period)).transpose().map_err(Failure::usage)?;
-    let series = resampled.as_ref().unwrap_or(series);
-    let grid = Grid::of(&series.name, &series.time_s).map_err(Failure::usage)?;
-    let (record, bridged) = cut(series, &grid, args.bridge);
-    Ok((record, grid, bridged))
+    if !args.resample {
+        let grid = Grid::of(&series.name, &series.time_s).map_err(Failure::usage)?;
+        let (record, bridged) = cut(series, &grid, args.bridge);
+        return Ok((record, grid, bridged));
+    }
+    // Fewer samples than there are: the input is not held for a whole new period, which decimation accounts for.
+    let factor = args.period.map_or(Ok(1), |period| coarser(series, period)).map_err(Failure::usage)?;
+    let resampled = resample(series, args.period.map(|period| period / factor as f64)).map_err(Failure::usage)?;
+    let grid = Grid::of(&resampled.name, &resampled.time_s).map_err(Failure::usage)?;
+    let (record, bridged) = cut(&resampled, &grid, args.bridge);
+    if factor == 1 {
+        return Ok((record, grid, bridged));
+    }
+    let thin = decimate(&record, factor, grid.period_s);
+    if thin.observed() == 0 && record.observed() > 0 {
+        return Err(Failure::usage(format!(
+            "{}: --period {} leaves nothing: its filter needs {DECIMATION_NEEDS} such periods without a hole",
+            series.name,
+            args.period.unwrap_or(grid.period_s)
+        )));
+    }
+    Ok((thin, Grid { period_s: grid.period_s * factor as f64, ..grid }, bridged))
 }
 
 /// A record from θ and currents of a run.

@@ -71,7 +71,7 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
             let found = estimate.bandwidth.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.3}"));
             let interval = estimate.interval_hz.map_or(String::new(), |(a, b)| format!(" ({a:.3} to {b:.3})"));
             let flag = if estimate.bandwidth.extrapolated { ", extrapolated" } else { "" };
-            let (definition, of) = (estimate.bandwidth.definition.words(), model.bandwidths_are_of.words());
+            let (definition, of) = (estimate.bandwidth.words(), model.bandwidths_are_of.words());
             writeln!(text, "{:<24} of {of}, {definition}: {found}{interval}{flag}", model.title)?;
         }
     }

@@ -15,17 +15,21 @@
 //! does.
 
 mod arx;
+mod currents;
+mod doubts;
 mod system;
 mod write;
 
 pub(crate) use system::System;
 
 use super::data::Segment;
+use super::diagnostic::Diagnostic;
 use super::hold::Held;
 use super::recorded::{Observed, RecordedError};
 use super::spectrum::spectrum;
 use crate::series::{Current, Recording, SeriesError};
 use arx::Regression;
+use currents::Together;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::{PI, TAU};
 
@@ -35,6 +39,9 @@ pub(crate) const OUTPUTS: [&str; 2] = ["theta_x", "theta_y"];
 const STILL_A: f64 = 1e-6;
 /// Error energy of a reduced model at most, over that of the full one, when the number of states is not given.
 const NEARLY: f64 = 1.25;
+/// Part of the currents' motion that must tell them apart: a table of 0.1 mA makes less of two that are one, and a
+/// response two hundred times less certain is none.
+const APART: f64 = 5e-3;
 /// Samples for each coefficient of an output.
 const SAMPLES_PER_COEFFICIENT: usize = 5;
 
@@ -203,6 +210,8 @@ pub(crate) struct Planes {
     /// σ of the equation's residual, radians, by output.
     pub(crate) residual_rad: [f64; 2],
     pub(crate) judged: Vec<RecordFit>,
+    /// What to know before it is used.
+    pub(crate) diagnostics: Vec<Diagnostic>,
 }
 
 /// Columns of the coils that move in any record.
@@ -217,11 +226,16 @@ pub(crate) fn moving(records: &[Motion]) -> Vec<usize> {
     (0..coils).filter(moves).collect()
 }
 
-/// Fits and reduces.
+/// Fits and reduces. `names` are those of the coils.
 ///
 /// # Errors
 /// [`PlanesError`].
-pub(crate) fn identify(training: &[Motion], judging: &[Motion], settings: Settings) -> Result<Planes, PlanesError> {
+pub(crate) fn identify(
+    training: &[Motion],
+    judging: &[Motion],
+    names: &[String],
+    settings: Settings,
+) -> Result<Planes, PlanesError> {
     let undetermined = |what: String| PlanesError::Undetermined(what);
     let Some(first) = training.first() else { return Err(undetermined("there is no record".to_owned())) };
     let means = means(training);
@@ -236,6 +250,11 @@ pub(crate) fn identify(training: &[Motion], judging: &[Motion], settings: Settin
             settings.orders.0,
             settings.orders.0 * SAMPLES_PER_COEFFICIENT * (coils + outputs)
         )));
+    }
+    let together = Together::of(&fitted);
+    if let Some(found) = together.as_ref().filter(|found| found.ratio < APART) {
+        let coils: Vec<&str> = found.coils.iter().filter_map(|coil| names.get(*coil)).map(String::as_str).collect();
+        return Err(not_apart(&format!("the currents of {} change together", coils.join(" and "))));
     }
     // 1. orders
     let regression = Regression::of(&fitted, most, settings.delay);
@@ -254,11 +273,7 @@ pub(crate) fn identify(training: &[Motion], judging: &[Motion], settings: Settin
         }
     }
     let Some((_, found)) = best else {
-        return Err(undetermined(
-            "the records do not tell the coils apart: their currents depend on each other, or move too little; let \
-             each of them change on its own (catoptra excite multisine, with other seeds)"
-                .to_owned(),
-        ));
+        return Err(not_apart("their currents depend on each other, or move too little"));
     };
     // 2. fewer states, together
     let unstable = || PlanesError::Unstable { order: found.order };
@@ -298,7 +313,7 @@ pub(crate) fn identify(training: &[Motion], judging: &[Motion], settings: Settin
         })
     };
     let all = fitted.iter().map(|record| (record, true)).chain(judging.iter().map(|record| (record, false)));
-    let judged = all.map(|(record, fitted)| judge(record, fitted)).collect::<Option<Vec<_>>>();
+    let judged = all.map(|(record, fitted)| judge(record, fitted)).collect::<Option<Vec<_>>>().ok_or_else(unstable)?;
     Ok(Planes {
         period_s: first.period_s,
         order: found.order,
@@ -306,13 +321,21 @@ pub(crate) fn identify(training: &[Motion], judging: &[Motion], settings: Settin
         coefficients: found.coefficients,
         tried,
         by_simulation: !judging.is_empty(),
-        judged: judged.ok_or_else(unstable)?,
+        diagnostics: doubts::doubts(together.as_ref(), names, &judged),
+        judged,
         residual_rad: found.residual_rad,
         full: found.system,
         means,
         reduced,
         hankel: in_band.values,
     })
+}
+
+fn not_apart(why: &str) -> PlanesError {
+    PlanesError::Undetermined(format!(
+        "the records do not tell the coils apart: {why}; let each of them change on its own (catoptra excite \
+         multisine, with other seeds)"
+    ))
 }
 
 /// Mean error of the simulation over records and outputs; `None` when one grows without end.
@@ -410,10 +433,14 @@ mod tests {
         record
     }
 
+    fn names() -> [String; 2] {
+        ["y_a", "z_a"].map(str::to_owned)
+    }
+
     #[test]
     fn a_system_of_four_states_is_found_with_its_response() {
         let settings = Settings { orders: (1, 6), delay: 1, keep: Some(4) };
-        let found = identify(&[record(3000, 1e-3, 1)], &[record(1500, 1e-3, 2)], settings).unwrap();
+        let found = identify(&[record(3000, 1e-3, 1)], &[record(1500, 1e-3, 2)], &names(), settings).unwrap();
         assert!(
             found.judged.iter().all(|j| j.full.iter().chain(&j.reduced).all(|p| *p < 0.1)),
             "{:?}",
@@ -428,15 +455,46 @@ mod tests {
         }
     }
 
+    /// Whatever the factor, and with the rounding of a table of currents.
     #[test]
     fn currents_that_go_together_are_not_told_apart() {
-        let mut same = record(2000, 1e-3, 3);
-        let first = same.input.column(0).into_owned();
-        same.input.set_column(1, &first);
-        let error = identify(&[same], &[], Settings { orders: (1, 4), delay: 1, keep: Some(4) }).unwrap_err();
-        assert!(error.to_string().contains("do not tell the coils apart"), "{error}");
-        let few =
-            identify(&[record(30, 1e-3, 4)], &[], Settings { orders: (4, 6), delay: 1, keep: Some(4) }).unwrap_err();
+        let settings = Settings { orders: (1, 4), delay: 1, keep: Some(4) };
+        let with = |second: &dyn Fn(f64, f64) -> f64| {
+            let mut same = record(2000, 1e-3, 3);
+            for mut row in same.input.row_iter_mut() {
+                row[1] = second(row[0], row[1]);
+            }
+            identify(&[same], &[], &names(), settings)
+        };
+        for factor in [1.0, -2.0, 0.5] {
+            let error = with(&|first, _| (factor * first * 1e4).round() / 1e4).unwrap_err().to_string();
+            assert!(error.contains("the coils apart: the currents of y_a and z_a change together"), "{error}");
+        }
+        // Nearly so is told; well apart, nothing is.
+        let told = |part: f64| {
+            let found = with(&|first, own| first + part * own).unwrap();
+            found.diagnostics.iter().any(|d| d.to_string().contains("y_a and z_a change almost only together"))
+        };
+        assert!(told(0.02) && !told(0.5));
+        let few = identify(&[record(30, 1e-3, 4)], &[], &names(), Settings { orders: (4, 6), ..settings }).unwrap_err();
         assert!(few.to_string().contains("too few for order 4"), "{few}");
+    }
+
+    #[test]
+    fn a_model_that_explains_little_is_told() {
+        let settings = Settings { orders: (1, 4), delay: 1, keep: Some(4) };
+        let mut noisy = record(3000, 1e-3, 1);
+        let spread = noisy.output.column(1).iter().filter(|y| y.is_finite()).fold(0.0, |s: f64, y| s.max(y.abs()));
+        let mut random = Random::new(9);
+        noisy.output.column_mut(1).iter_mut().for_each(|y| *y += spread * random.normal());
+        let found = identify(&[noisy], &[], &names(), settings).unwrap();
+        let told: Vec<String> = found.diagnostics.iter().map(ToString::to_string).collect();
+        assert!(told.len() == 1 && told[0].starts_with("theta_y by the full model: its simulation leaves"), "{told:?}");
+        // Judged by a record of reversed currents, with no other order to choose.
+        let settings = Settings { orders: (4, 4), ..settings };
+        let mut reversed = record(1500, 1e-3, 2);
+        reversed.input.neg_mut();
+        let found = identify(&[record(3000, 1e-3, 1)], &[reversed], &names(), settings).unwrap();
+        assert!(found.diagnostics.iter().any(|d| matches!(d, Diagnostic::StrangeRecord { .. })));
     }
 }

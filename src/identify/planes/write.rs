@@ -46,6 +46,7 @@ impl Planes {
             "reduced": system(&self.reduced),
             "full": system(&self.full),
             "records": judged.collect::<Vec<Value>>(),
+            "diagnostics": self.diagnostics.iter().map(ToString::to_string).collect::<Vec<_>>(),
         });
         serde_json::to_string_pretty(&document).map(|text| text + "\n")
     }

@@ -18,22 +18,14 @@ pub(crate) fn applied_page(data: &Data, done: &Applied, saved: &Saved, provenanc
         spectrum: done.spectrum.as_ref(),
         lines: &[],
     };
-    let notes: String = done.notes.iter().map(|note| format!("<li>{}</li>\n", escape(note))).collect();
-    let notes = if notes.is_empty() {
-        notes
-    } else {
-        format!(
-            "<div class=\"doubts\"><p><strong>To be known before the numbers are \
-             used:</strong></p>\n<ul>\n{notes}</ul></div>\n"
-        )
-    };
     let mut body = format!(
         "<header>\n<p class=\"kind\">Catoptra: a model on other records</p>\n<h1>{}</h1>\n<p class=\"verdict\">From {} \
-         to {}, simulated with {}. Nothing was fitted.</p>\n{notes}</header>\n",
+         to {}, simulated with {}. Nothing was fitted.</p>\n{}</header>\n",
         escape(&provenance.title),
         escape(&provenance.input),
         escape(&provenance.output),
-        escape(&saved.name)
+        escape(&saved.name),
+        page::doubts(&done.notes)
     );
     body += &cards(done, provenance);
     body += &errors(done, provenance);

@@ -98,20 +98,11 @@ fn header(done: &Identification, provenance: &Provenance) -> String {
         orders.nb,
         plural(orders.nk, "sample")
     );
-    let diagnostics: String =
-        done.diagnostics.iter().map(|diagnostic| format!("<li>{}</li>\n", escape(&diagnostic.to_string()))).collect();
-    let diagnostics = if diagnostics.is_empty() {
-        String::new()
-    } else {
-        format!(
-            "<div class=\"doubts\"><p><strong>To be known before the numbers are \
-             used:</strong></p>\n<ul>\n{diagnostics}</ul></div>\n"
-        )
-    };
     format!(
         "<header>\n<p class=\"kind\">Catoptra identification</p>\n<h1>{}</h1>\n<p \
-         class=\"verdict\">{answer}</p>\n{diagnostics}</header>\n",
-        escape(&provenance.title)
+         class=\"verdict\">{answer}</p>\n{}</header>\n",
+        escape(&provenance.title),
+        page::doubts(&done.diagnostics)
     )
 }
 
@@ -145,7 +136,7 @@ fn cards(done: &Identification, provenance: &Provenance) -> String {
             let bandwidth = estimate.bandwidth;
             let text = bandwidth.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.3} Hz"));
             let flag = if bandwidth.extrapolated { "; extrapolated" } else { "" };
-            cards += &card("Bandwidth", text, format!("{}{flag}", bandwidth.definition.words()), false);
+            cards += &card("Bandwidth", text, format!("{}{flag}", bandwidth.words()), false);
         }
     }
     format!("<dl class=\"key\">\n{cards}</dl>\n")
@@ -306,7 +297,7 @@ fn frequency(data: &Data, done: &Shown<'_>) -> String {
             rows.push(vec![
                 model.title.clone(),
                 model.bandwidths_are_of.words().to_owned(),
-                found.definition.words().to_owned(),
+                found.words(),
                 found.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.4}")),
                 estimate.interval_hz.map_or("–".to_owned(), |(low, high)| format!("{low:.4} to {high:.4}")),
                 if found.extrapolated { "extrapolated" } else { "inside" }.to_owned(),

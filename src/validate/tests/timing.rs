@@ -158,3 +158,23 @@ fn a_path_in_another_unit_is_told() {
     let (_, notes) = noted(&recording, desired(|k| circle(k) * 1e-3), 0.01);
     assert!(notes.contains("which is hardly the same unit: both must be in mm"), "{notes}");
 }
+
+/// A start given too late by 60 ms: the motion seems to come before its commands.
+#[test]
+fn a_motion_before_its_commands_is_told() {
+    let recordings = [0.1, 0.02].map(|pause_s| (pause_s, simulate(circle, pause_s, 50.0, NOISY)));
+    let notes = |late_ns: i64| {
+        let observed = recordings.iter().map(|(pause_s, recording)| Observed {
+            recording,
+            pause_s: *pause_s,
+            start_ns: Some(START_NS + late_ns),
+        });
+        let runs = validate(desired(circle), &observed.collect::<Vec<_>>(), Options::default()).unwrap().runs;
+        // The slowest is the last.
+        runs.iter()
+            .rev()
+            .map(|run| run.notes.iter().filter(|note| note.contains("leads the commands")).count())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!((notes(0), notes(60_000_000)), (vec![0, 0], vec![1, 0]));
+}

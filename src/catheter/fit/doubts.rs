@@ -1,0 +1,76 @@
+//! What makes a fit doubtful: values that no catheter has, and residuals that are no noise.
+
+use super::Fit;
+use super::parameter::Parameter;
+
+/// σ beyond which a value is not chance.
+const SIGNIFICANT_SD: f64 = 4.0;
+/// Residuals beyond the noise by this factor mean a model that is wrong.
+const LARGE_MISFIT: f64 = 1.5;
+/// A coil set is hardly mounted further from where the catheter's file has it, degrees.
+const TURNED_DEG: f64 = 45.0;
+
+impl Fit {
+    /// Reasons not to use the values as they are, as sentences.
+    pub fn doubts(&self) -> Vec<String> {
+        let found = |parameter: Parameter| self.estimated.iter().find(|found| found.parameter == parameter);
+        let early = found(Parameter::Delay).filter(|delay| delay.value < -SIGNIFICANT_SD * delay.sd).map(|delay| {
+            format!(
+                "the catheter moves {:.1} ± {:.1} ms before its currents: are the times of the currents right \
+                 (--start), and their coils?",
+                -delay.value * 1e3,
+                delay.sd * 1e3
+            )
+        });
+        let turned = found(Parameter::Alignment).map(|found| found.value.to_degrees());
+        let turned = turned.filter(|deg| deg.abs() > TURNED_DEG).map(|deg| {
+            format!(
+                "the coil set is turned by {deg:.0}° from where the catheter's file has it: which column of the \
+                 currents is which coil (--coils), and has one another sign?"
+            )
+        });
+        let misfit = (self.misfit > LARGE_MISFIT).then(|| {
+            format!(
+                "residuals are {:.1} times the noise, so that something else than the values is wrong: which column \
+                 is which coil (--coils)? Are the currents in A, is B0 right, and is the base frame that of the run?",
+                self.misfit
+            )
+        });
+        [early, turned, misfit].into_iter().flatten().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Estimated;
+    use super::*;
+    use crate::catheter::{Catheter, Noise};
+    use nalgebra::DMatrix;
+
+    #[test]
+    fn values_that_no_catheter_has_are_told() {
+        let told = |misfit: f64, values: &[(Parameter, f64, f64)]| {
+            let estimated =
+                values.iter().map(|(parameter, value, sd)| Estimated { parameter: *parameter, value: *value, sd: *sd });
+            let fit = Fit {
+                catheter: Catheter::prototype(),
+                delay_s: 0.0,
+                estimated: estimated.collect(),
+                correlation: DMatrix::identity(values.len(), values.len()),
+                open: Vec::new(),
+                pauses: Vec::new(),
+                unsettled: 0,
+                noise: Noise { point_m: 1e-5, angle_rad: 1e-3, missing: 0.0 },
+                misfit,
+                widened: 1.0,
+                in_motion: true,
+            };
+            fit.doubts()
+        };
+        let (late, turn) = (Parameter::Delay, Parameter::Alignment);
+        assert!(told(1.2, &[(late, -3e-3, 1e-3), (turn, 0.5, 0.01)]).is_empty());
+        let all = told(1.6, &[(late, -5e-3, 1e-3), (turn, -2.5, 0.01)]);
+        let begins = ["the catheter moves 5.0 ± 1.0 ms before", "the coil set is turned by -143°", "residuals are 1.6"];
+        assert!(all.len() == 3 && all.iter().zip(begins).all(|(doubt, begin)| doubt.starts_with(begin)), "{all:?}");
+    }
+}

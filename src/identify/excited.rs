@@ -1,0 +1,87 @@
+//! The band that the input excites: all but 1 % of its energy at either end.
+//!
+//! From the periodogram of the whole record, mean removed and without a window, which would hide how a chirp begins and
+//! ends. The energy is summed over frequency and interpolated between its lines, so that the edges do not jump from
+//! line to line with the record's length: a bandwidth may refer to the lower one.
+
+use super::data::Segment;
+use rustfft::FftPlanner;
+use rustfft::num_complex::Complex;
+
+/// Fraction of the input's energy outside the excited band at either end.
+pub(super) const BAND_TAIL: f64 = 0.01;
+/// Least zeros after a segment, relative to its samples: lines are then closer than the record resolves.
+const PADDING: usize = 1;
+
+/// Lower and upper edge, Hz; everything up to half the sampling rate for an input that does not change.
+pub(super) fn excited_hz(segments: &[Segment], period_s: f64) -> (f64, f64) {
+    let nyquist_hz = 0.5 / period_s;
+    let samples: usize = segments.iter().map(|segment| segment.input.len()).sum();
+    let mean = segments.iter().flat_map(|segment| &segment.input).sum::<f64>() / samples.max(1) as f64;
+    let longest = segments.iter().map(|segment| segment.input.len()).max().unwrap_or(0);
+    let length = ((1 + PADDING) * longest).next_power_of_two();
+    let transform = FftPlanner::new().plan_fft_forward(length);
+    let mut power = vec![0.0; length / 2 + 1];
+    for segment in segments {
+        let mut buffer: Vec<Complex<f64>> = segment.input.iter().map(|v| Complex::new(v - mean, 0.0)).collect();
+        buffer.resize(length, Complex::new(0.0, 0.0));
+        transform.process(&mut buffer);
+        power.iter_mut().zip(&buffer).for_each(|(sum, line)| *sum += line.norm_sqr());
+    }
+    // Half of the first line and of the last is at negative frequencies and beyond half the rate.
+    if let [first, .., last] = power.as_mut_slice() {
+        *first *= 0.5;
+        *last *= 0.5;
+    }
+    let step_hz = 1.0 / (length as f64 * period_s);
+    let total: f64 = power.iter().sum();
+    // A line stands for the half step on either side of it.
+    let reaches = |part: f64| {
+        let mut sum = 0.0;
+        for (k, line) in power.iter().enumerate() {
+            if sum + line >= part * total && *line > 0.0 {
+                let from_hz = (k as f64 - 0.5).max(0.0) * step_hz;
+                let to_hz = ((k as f64 + 0.5) * step_hz).min(nyquist_hz);
+                return from_hz + (to_hz - from_hz) * (part * total - sum) / line;
+            }
+            sum += line;
+        }
+        nyquist_hz
+    };
+    if total > 0.0 { (reaches(BAND_TAIL), reaches(1.0 - BAND_TAIL)) } else { (0.0, nyquist_hz) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::TAU;
+
+    fn segment(samples: usize, of: impl Fn(f64) -> f64) -> Segment {
+        let input: Vec<f64> = (0..samples).map(|k| of(k as f64 / 60.0)).collect();
+        Segment { output: input.clone(), input, ..Segment::default() }
+    }
+
+    /// A linear chirp has the same energy at every frequency: 1 % of it is 1 % of its band, whatever the rate, and in
+    /// whole or with a hole.
+    #[test]
+    fn the_edges_of_a_chirp_do_not_depend_on_length_or_rate() {
+        let chirp = |t: f64, end: f64| (TAU * (0.5 * t + 3.5 * t * t / (2.0 * end))).sin();
+        for seconds in [50_usize, 60, 75] {
+            let end = seconds as f64;
+            let whole = segment(60 * seconds, |t| chirp(t, end));
+            let slow = Segment { input: whole.input.iter().step_by(3).copied().collect(), ..Segment::default() };
+            let parts = [whole.part(0, 1000, 1.0 / 60.0), whole.part(1020, 60 * seconds, 1.0 / 60.0)];
+            for (segments, period_s) in [(&[whole][..], 1.0 / 60.0), (&[slow], 0.05), (&parts, 1.0 / 60.0)] {
+                let (low, high) = excited_hz(segments, period_s);
+                assert!((low - 0.535).abs() < 0.06 && (high - 3.965).abs() < 0.06, "{seconds} s: {low} to {high}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_sine_excites_its_frequency() {
+        let (low, high) = excited_hz(&[segment(6000, |t| 3.0 + (TAU * 2.0 * t).sin())], 1.0 / 60.0);
+        assert!(low > 1.9 && high < 2.1, "{low} {high}");
+        assert_eq!(excited_hz(&[segment(600, |_| 3.0)], 0.05), (0.0, 10.0));
+    }
+}

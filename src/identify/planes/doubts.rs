@@ -1,0 +1,37 @@
+//! Warnings to read before a model of both planes is used.
+
+use super::currents::Together;
+use super::{OUTPUTS, RecordFit};
+use crate::identify::diagnostic::Diagnostic;
+
+/// Part of the currents' motion that tells them apart below which it is hardly known which coil does what.
+const HARDLY_APART: f64 = 0.05;
+/// Simulation error beyond which a model is called poor, percent.
+const POOR_FIT_PERCENT: f64 = 50.0;
+/// Simulation error of an angle that stays at its mean, percent.
+const WORSE_THAN_ZERO_PERCENT: f64 = 100.0;
+
+/// All of them.
+pub(super) fn doubts(together: Option<&Together>, names: &[String], judged: &[RecordFit]) -> Vec<Diagnostic> {
+    let mut doubts = Vec::new();
+    if let Some(found) = together.filter(|found| found.ratio < HARDLY_APART) {
+        let coils = found.coils.iter().filter_map(|coil| names.get(*coil).cloned()).collect();
+        doubts.push(Diagnostic::Together { coils, ratio: found.ratio });
+    }
+    for (output, angle) in OUTPUTS.iter().enumerate() {
+        let error = |fit: &RecordFit| fit.full.get(output).copied().unwrap_or(f64::NAN);
+        let title = || format!("{angle} by the full model");
+        let poor = judged.iter().filter(|fit| fit.fitted).map(error).find(|percent| *percent > POOR_FIT_PERCENT);
+        if let Some(error_percent) = poor {
+            doubts.push(Diagnostic::Poor { title: title(), error_percent, linear: None });
+            continue;
+        }
+        let strange = judged.iter().filter(|fit| !fit.fitted && error(fit) > WORSE_THAN_ZERO_PERCENT);
+        doubts.extend(strange.map(|fit| Diagnostic::StrangeRecord {
+            title: title(),
+            record: fit.name.clone(),
+            error_percent: error(fit),
+        }));
+    }
+    doubts
+}

@@ -1,0 +1,23 @@
+//! A motion that comes before its commands.
+
+use super::run::{Run, WEAK_CORRELATION};
+
+/// σ of the phase beyond which it is not chance.
+const SIGNIFICANT_SD: f64 = 4.0;
+/// A smaller lead is not told, degrees: where frames lie in their pauses makes so much.
+const LEAST_DEG: f64 = 0.5;
+
+/// The note about the slowest run, whose lag is the smallest and whose phase cannot be that of another turn.
+pub(super) fn note(run: &Run) -> Option<String> {
+    // The phase of another motion means nothing.
+    run.lag.filter(|lag| lag.correlation >= WEAK_CORRELATION)?;
+    let phase_deg = run.phase_deg?;
+    let sd_deg = run.response_sd.unwrap_or(0.0).to_degrees();
+    (phase_deg > LEAST_DEG.max(SIGNIFICANT_SD * sd_deg)).then(|| {
+        format!(
+            "the motion leads the commands by {phase_deg:.2} ± {sd_deg:.2}°, which no catheter does: is the start of \
+             the commands late (--start), or is the base frame or the coil turned about the path's axis? All phases \
+             are wrong by that"
+        )
+    })
+}
