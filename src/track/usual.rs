@@ -167,9 +167,9 @@ mod tests {
         let scattered = |i: i32| 4.0 + 0.1 * f64::from(i * 7 % 5 - 2);
         (0..40).for_each(|i| usual.add(1, 0, scattered(i)));
         for i in 0..40 {
-            usual.add(1, 0, scattered(i) * 1.015_f64.powi(i));
+            usual.add(1, 0, scattered(i) * 1.03_f64.powi(i));
         }
-        assert!(usual.above(1, 0, scattered(40) * 1.015_f64.powi(40), 0.0) > 4.5);
+        assert!(usual.above(1, 0, scattered(40) * 1.03_f64.powi(40), 0.0) > 4.5);
     }
 
     #[test]

@@ -19,8 +19,9 @@ use nalgebra::DVector;
 const UNKNOWN: f64 = 0.3;
 /// Frames over which the usual width is averaged, at most.
 const AVERAGED_FRAMES: f64 = 100.0;
-/// Frames over which their scatter is.
+/// Frames over which their scatter is, and the most that can be usual, as a variance over that of the noise.
 const SCATTER_FRAMES: f64 = 30.0;
+const MAX_SCATTER: f64 = 4.0;
 /// Widths beyond this many standard deviations count as if they were there: an edge that comes slowly must not become
 /// usual by and by.
 const HELD_SD: f64 = 2.0;
@@ -110,7 +111,7 @@ impl UsualWidths {
         let held = (off / sd).clamp(-HELD_SD * level.scatter.sqrt(), HELD_SD * level.scatter.sqrt());
         level.mean_px += share * held * sd;
         level.variance_px2 = Some(before * own / (before + own));
-        level.scatter = (level.scatter + (held * held - level.scatter) / SCATTER_FRAMES).max(1.0);
+        level.scatter = (level.scatter + (held * held - level.scatter) / SCATTER_FRAMES).clamp(1.0, MAX_SCATTER);
     }
 }
 
