@@ -33,11 +33,11 @@ const SLOW_S: f64 = 0.2;
 const ENOUGH_PERIODS: usize = 7;
 
 /// Simulation error beyond which a model is called poor, percent.
-const POOR_FIT_PERCENT: f64 = 50.0;
+pub(super) const POOR_FIT_PERCENT: f64 = 50.0;
 /// Difference between the gains of records that are fitted together that is reported, as part of them.
 const GAIN_TOLERANCE: f64 = 0.03;
 /// Simulation error of an output of zero, percent.
-const WORSE_THAN_ZERO_PERCENT: f64 = 100.0;
+pub(super) const WORSE_THAN_ZERO_PERCENT: f64 = 100.0;
 
 /// The question about a sampling period so long that the times may have another unit.
 pub(super) fn slow(period_s: f64) -> Option<Diagnostic> {

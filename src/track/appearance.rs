@@ -34,6 +34,11 @@ impl Layout {
         self.rings_m.len() + usize::from(!self.ends)
     }
 
+    /// Number of bands.
+    pub(crate) fn bands(&self) -> usize {
+        self.rings_m.len().div_ceil(2)
+    }
+
     /// Number of colour parameters of a view.
     pub(crate) fn colours(&self) -> usize {
         FIXED + PER_SEGMENT * self.segments()

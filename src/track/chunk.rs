@@ -209,6 +209,7 @@ impl Chunk {
     }
 
     /// Distances from the axis when last evaluated, half widths.
+    #[inline(always)]
     pub(crate) fn across(&self, piece: &Piece) -> [f32; CHUNK] {
         std::array::from_fn(|i| self.u.0[i] / at(piece.half, self.f.0[i]))
     }

@@ -4,7 +4,7 @@
 //! chunk, where they are summed, and not kept.
 
 use crate::source::Picture;
-use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
+use crate::track::chunk::{CHUNK, Chunk, Piece, Rows, Scene};
 use crate::track::equations::Eliminated;
 use crate::track::fields::RowShift;
 use crate::track::fringes::Pair;
@@ -221,8 +221,9 @@ struct Part<'a> {
     ring: usize,
     points: Range<usize>,
     seen: Seen,
-    /// Distances from the axis, half widths.
-    x: [f32; CHUNK],
+    /// The points, and the piece of tube that they are compared with.
+    chunk: &'a Chunk,
+    piece: &'a Piece,
     /// The stored channel, and whether it is stored apart from the pixels.
     channel: u8,
     apart: bool,
@@ -390,7 +391,8 @@ impl Comparison {
                             ring,
                             points,
                             seen,
-                            x: chunk.across(&piece),
+                            chunk,
+                            piece: &piece,
                             channel,
                             apart,
                             colour,
@@ -540,7 +542,7 @@ fn add_to_width(sum: &mut Sum, part: &Part<'_>) {
         return;
     }
     let (mut information, mut pull) = (0.0, 0.0);
-    for ((row, residual, weight, _), x) in part.samples().zip(&part.x) {
+    for ((row, residual, weight, _), x) in part.samples().zip(part.chunk.across(part.piece)) {
         let by = shifted(row, part.seen)[0] * x;
         let weighed = weight * by;
         information += weighed * by;

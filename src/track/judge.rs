@@ -18,7 +18,8 @@ const MAX_UNUSUAL_SD: f64 = 4.5;
 /// Cap on the size's part: alone it is no evidence, as it also changes with light and motion.
 const MAX_SIZE_TERM: f64 = 3.0;
 /// Widths that differ from the usual by fewer standard deviations are chance, as are all of these together. Beyond it
-/// the errors are larger than the fit knows: with an edge before part of a band, up to the limit, by about as many times.
+/// the errors are larger than the fit knows: with an edge before part of a band, up to the limit, by about as many
+/// times.
 const CHANCE_SD: f64 = 1.5;
 
 /// Frames over which the disagreement of the views is averaged.

@@ -108,6 +108,15 @@ pub(crate) fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
     }
 }
 
+/// Adds those elements of a sum of rows that belong to colours.
+pub(crate) fn add_colours(colours: &mut DVector<f64>, sum: &Row, span: &Span, layout: &Layout) {
+    for (i, value) in sum.iter().enumerate() {
+        if let Some(at) = colour(i, span.ring, layout) {
+            colours[at] += f64::from(*value);
+        }
+    }
+}
+
 /// How the shape moves a knot and the next, for each of [`MOVES`].
 fn moved(image: &TubeImage, knot: usize) -> [&ShapeStep; MOVES.len()] {
     std::array::from_fn(|i| &image.knots[knot + i % 2].d_local[i / 2])
@@ -182,11 +191,7 @@ impl Normal {
                 let by = f64::from(sum[i]);
                 normal.shape_gradient.iter_mut().zip(moves).for_each(|(sum, value)| *sum += by * value);
             }
-            for (i, value) in sum.iter().enumerate() {
-                if let Some(colour) = colour(i, span.ring, layout) {
-                    normal.colour_gradient[colour] += f64::from(*value);
-                }
-            }
+            add_colours(&mut normal.colour_gradient, sum, span, layout);
         }
         normal
     }

@@ -93,7 +93,7 @@ impl Seen {
 impl Slips {
     pub(crate) fn new(layout: &Layout, spans: usize) -> Self {
         Self {
-            bands: vec![<[Slip; 2]>::default(); layout.rings_m.len().div_ceil(2)],
+            bands: vec![<[Slip; 2]>::default(); layout.bands()],
             waiting: vec![None; spans],
             seen: Seen::default(),
             covariance: SMatrix::zeros(),

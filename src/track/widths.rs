@@ -3,19 +3,19 @@
 //! An object in front of one side of a band, or a straight edge beside it, is the tube's outline there: the fit goes
 //! half the way to it, and little of that is left in the residuals, because the colours and the light follow. But the
 //! band is then narrower or wider than the tube. A change h of the half width changes a sample by x·t, with x = u/w and
-//! t its change for a shift of a pixel across the tube. With the colours eliminated (equations.rs: c = Σ w x t ∂colours,
-//! C their matrix),
+//! t its change for a shift of a pixel across the tube. With the colours eliminated (equations.rs: c = Σ w x t
+//! ∂colours, C their matrix),
 //!
 //! h = Σ w x t r / (Σ w x² t² − cᵀ C⁻¹ c).
 
 use crate::rig::Rig;
 use crate::track::appearance::Layout;
 use crate::track::equations::Eliminated;
-use crate::track::normal::{ROW, Row, Span, colour};
+use crate::track::normal::{Row, Span, add_colours};
 use nalgebra::DVector;
 
-/// Standard deviation of a band's usual width before it was ever seen, of the half width: bands are of tape, and the rig
-/// may have the diameter of another tube.
+/// Standard deviation of a band's usual width before it was ever seen, of the half width: bands are of tape, and the
+/// rig may have the diameter of another tube.
 const UNKNOWN: f64 = 0.3;
 /// Frames over which the usual width is averaged, at most.
 const AVERAGED_FRAMES: f64 = 100.0;
@@ -27,7 +27,7 @@ const MAX_SCATTER: f64 = 4.0;
 const HELD_SD: f64 = 2.0;
 
 /// The half width of a band in a view, beyond that of the tube.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct Width {
     pub beyond_px: f64,
     /// Its standard deviation, if the noise were independent.
@@ -35,7 +35,7 @@ pub(crate) struct Width {
 }
 
 /// Sums over the samples of a span.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub(crate) struct Sum {
     /// Σ w x t ∂.
     pub rows: Row,
@@ -44,29 +44,19 @@ pub(crate) struct Sum {
     pub pull: f64,
 }
 
-impl Default for Sum {
-    fn default() -> Self {
-        Self { rows: [0.0; ROW], information: 0.0, pull: 0.0 }
-    }
-}
-
 /// The width of each band of a stretch, from the sums of the spans.
 pub(crate) fn widths(spans: &[Span], sums: &[Sum], layout: &Layout, view: &Eliminated) -> Vec<Width> {
     let of_band = |band: usize| {
         let (mut colours, mut information, mut pull) = (DVector::zeros(layout.colours()), 0.0, 0.0);
         for (span, sum) in spans.iter().zip(sums).filter(|(span, _)| span.ring / 2 == band) {
-            for (i, value) in sum.rows.iter().enumerate() {
-                if let Some(at) = colour(i, span.ring, layout) {
-                    colours[at] += f64::from(*value);
-                }
-            }
+            add_colours(&mut colours, &sum.rows, span, layout);
             information += sum.information;
             pull += sum.pull;
         }
         let left = information - view.explained(&colours);
         Width { beyond_px: pull / left, sd_px: left.sqrt().recip() }
     };
-    (0..layout.rings_m.len().div_ceil(2)).map(of_band).collect()
+    (0..layout.bands()).map(of_band).collect()
 }
 
 /// The usual width of each marker in each view, beyond that of the tube.

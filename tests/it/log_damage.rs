@@ -103,7 +103,6 @@ fn what_lies_behind_a_hole_is_saved() {
     }
 }
 
-/// The same log in chunks that are compressed, as other programs write them.
 /// Names and schemas of all topics are in the first chunk, and once more at the end.
 #[test]
 fn a_damaged_first_chunk_costs_its_messages_and_no_others() {
@@ -129,6 +128,7 @@ fn a_damaged_first_chunk_costs_its_messages_and_no_others() {
     assert_eq!(std::fs::read_to_string(&table).unwrap().lines().count() as u64, info.frames + 1);
 }
 
+/// The same log in chunks that are compressed, as other programs write them.
 fn compressed(from: &Path, to: &Path, compression: Compression) {
     let bytes = std::fs::read(from).unwrap();
     let options = WriteOptions::new().compression(Some(compression)).chunk_size(Some(100_000));

@@ -3,13 +3,10 @@
 use super::currents::Together;
 use super::{OUTPUTS, RecordFit};
 use crate::identify::diagnostic::Diagnostic;
+use crate::identify::diagnostics::{POOR_FIT_PERCENT, WORSE_THAN_ZERO_PERCENT};
 
 /// Part of the currents' motion that tells them apart below which it is hardly known which coil does what.
 const HARDLY_APART: f64 = 0.05;
-/// Simulation error beyond which a model is called poor, percent.
-const POOR_FIT_PERCENT: f64 = 50.0;
-/// Simulation error of an angle that stays at its mean, percent.
-const WORSE_THAN_ZERO_PERCENT: f64 = 100.0;
 
 /// All of them.
 pub(super) fn doubts(together: Option<&Together>, names: &[String], judged: &[RecordFit]) -> Vec<Diagnostic> {
