@@ -4,7 +4,8 @@
 //! whose blobs have the band's size at that distance. The markers are then chosen together, along the tube, by dynamic
 //! programming: reprojection error, size, distance from where the marker was, and whether the tube allows the distance
 //! of neighbours. A second choice that is nearly as good, with the marker elsewhere or with another marker in its
-//! stead, makes it ambiguous.
+//! stead, makes it ambiguous. The base band rests where the base frame says; a band like it elsewhere is another
+//! catheter's, and what may belong to that one is ambiguous, too.
 //!
 //! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
 
@@ -36,6 +37,12 @@ const MEMORY_S: f64 = 0.25;
 /// was not seen recently.)
 const MISSING_COST: f64 = 62.0;
 const MISSING_VIEW_COST: f64 = 10.0;
+/// Where the base band rests is known to this before it was seen there, and after; a camera that was moved before the run
+/// costs no more than this.
+const REST_SD_M: (f64, f64) = (10e-3, 5e-3);
+const MAX_REST_COST: f64 = 40.0;
+/// So far from there a band is not the base band.
+const OTHER_BASE_M: f64 = 20e-3;
 /// Two choices further apart than this are different positions; the second must cost this much more.
 const DIFFERENT_M: f64 = 3e-3;
 const CLEAR_COST: f64 = 4.0;
@@ -55,6 +62,9 @@ pub(crate) struct Assigned {
 #[derive(Debug)]
 pub(crate) struct Assigner {
     last: Vec<Option<(Point3<f64>, Timestamp)>>,
+    /// Where the base band rests, if the rig has a base frame, and whether it was seen there.
+    rest: Option<Point3<f64>>,
+    rested: bool,
 }
 
 struct Candidate {
@@ -64,13 +74,30 @@ struct Candidate {
 
 impl Assigner {
     pub(crate) fn new(rig: &Rig) -> Self {
-        Self { last: vec![None; rig.markers.len()] }
+        let rest = rig.base.as_ref().map(|base| base.base_from_camera.inverse() * Point3::origin());
+        Self { last: vec![None; rig.markers.len()], rest, rested: false }
     }
 
     /// Remembers where a marker is.
     pub(crate) fn remember(&mut self, marker: usize, point: Point3<f64>, stamp: Timestamp) {
         if let Some(last) = self.last.get_mut(marker) {
             *last = Some((point, stamp));
+        }
+        self.rested |= marker == 0 && !self.is_other_base(&point);
+    }
+
+    /// Whether a place is too far from where the base band rests, if that is known.
+    fn is_other_base(&self, point: &Point3<f64>) -> bool {
+        self.rest.is_none_or(|rest| (point - rest).norm() > OTHER_BASE_M)
+    }
+
+    /// What a place costs the base band by how far it is from where that rests.
+    fn rest_cost(&self, point: &Point3<f64>) -> f64 {
+        let Some(rest) = self.rest else { return 0.0 };
+        let off_m = (point - rest).norm();
+        match self.rested {
+            true => (off_m / REST_SD_M.1).powi(2),
+            false => (off_m / REST_SD_M.0).powi(2).min(MAX_REST_COST),
         }
     }
 
@@ -102,6 +129,7 @@ impl Assigner {
             (0..rig.markers.len()).map(|m| self.candidates(rig, m, blobs, stamp, &mut rejected[m])).collect();
         let best = choose(rig, &candidates, None);
         let place = |m: usize| best.choice[m].map(|chosen| candidates[m][chosen].assigned.point);
+        let others = self.other_bases(&candidates, best.choice.first().copied().flatten());
         (0..rig.markers.len())
             .map(|m| {
                 let Some(chosen) = best.choice[m] else {
@@ -122,9 +150,24 @@ impl Assigner {
                         candidates[m].iter().filter(|c| c.cost < candidates[m][chosen].cost + CLEAR_COST).count();
                     return Err(Miss::Ambiguous { candidates: close.max(2) });
                 }
+                // If this is that of another catheter, its own is seen elsewhere.
+                let reached =
+                    |c: &Candidate| m > 0 && others.iter().any(|other| reaches(rig, m, other, &c.assigned.point));
+                let is_elsewhere = |c: &Candidate| (c.assigned.point - here.point).norm() > OTHER_BASE_M;
+                if reached(&candidates[m][chosen]) && !candidates[m].iter().any(|c| is_elsewhere(c) && reached(c)) {
+                    return Err(Miss::Ambiguous { candidates: 2 });
+                }
                 Ok(here.clone())
             })
             .collect()
+    }
+
+    /// Where bands like the base band are seen, away from where it rests: of other catheters.
+    fn other_bases(&self, candidates: &[Vec<Candidate>], chosen: Option<usize>) -> Vec<Point3<f64>> {
+        let Some(bases) = candidates.first().filter(|_| self.rested) else { return Vec::new() };
+        let others =
+            bases.iter().enumerate().filter(|(k, c)| Some(*k) != chosen && self.is_other_base(&c.assigned.point));
+        others.map(|(_, c)| c.assigned.point).collect()
     }
 
     /// Where a marker is expected, with radii: near its last position, and near its neighbours on the tube.
@@ -216,6 +259,9 @@ impl Assigner {
         let reach_m = reach_m(recent.map_or(MEMORY_S, |(_, age)| age));
         let off = recent.map_or(0.0, |(place, _)| (met.point - place).norm() / reach_m);
         cost += off.powi(2) + 6.0 * (reach_m / PLACE_SD_M).ln();
+        if marker == 0 {
+            cost += self.rest_cost(&met.point);
+        }
         Ok(Candidate { assigned: Assigned { point: met.point, blobs: picked.to_vec() }, cost })
     }
 }
@@ -330,6 +376,11 @@ fn apart(rig: &Rig, p: usize, before: &[Candidate], j: usize, list: &[Candidate]
     let distance = (a.assigned.point - b.assigned.point).norm();
     let shortest = (rig.markers[p].length_m + rig.markers[p + 1].length_m) / 2.0 * 0.5;
     if (shortest..longest(rig, p)).contains(&distance) { 0.0 } else { f64::INFINITY }
+}
+
+/// Whether the tube of a catheter whose base band is here may have its marker `m` there.
+fn reaches(rig: &Rig, m: usize, base: &Point3<f64>, point: &Point3<f64>) -> bool {
+    (base - point).norm() < (0..m).map(|p| longest(rig, p)).sum()
 }
 
 /// Largest distance of marker `p` from the next one that the tube between them allows, metres.

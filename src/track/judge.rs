@@ -6,6 +6,7 @@ use crate::track::find::Found;
 use crate::track::fit::ViewFit;
 use crate::track::group_fit::{DISAGREEMENT, Fitted};
 use crate::track::light::Encoding;
+use crate::track::light_change::{FirstColours, Noisier};
 use crate::track::separation;
 use crate::track::slip::Seen;
 use crate::track::usual::Usual;
@@ -32,9 +33,11 @@ const SLIP_FRAMES: f64 = 20.0;
 
 /// What is known from the frames before.
 pub(crate) struct Judge {
-    /// Residuals of each band in each view.
+    /// Residuals of each band in each view, in the light of the first frames.
     pub usual: Usual,
-    /// Ratio of a band's expected size to its blob's.
+    first_colours: FirstColours,
+    noisier: Noisier,
+    /// Ratio of each band's expected size to its blob's.
     usual_size: Usual,
     /// Widths of each band in each view.
     usual_widths: UsualWidths,
@@ -47,10 +50,20 @@ pub(crate) struct Judge {
     pub mean_slip_px: Vector2<f64>,
 }
 
+/// The RMS residual of a fit in a view, as it would be in the light of the first frames.
+struct Residual {
+    /// The band with whose residuals it is compared.
+    alike: usize,
+    view: usize,
+    rms: f64,
+}
+
 impl Judge {
     pub(crate) fn new(rig: &Rig) -> Self {
         Self {
             usual: Usual::learned(rig),
+            first_colours: FirstColours::new(rig),
+            noisier: Noisier::default(),
             usual_size: Usual::new(rig),
             usual_widths: UsualWidths::new(rig),
             stretch: (0..rig.markers.len()).collect(),
@@ -74,12 +87,16 @@ impl Judge {
         }
         let variance_px2 = self.slip.variance_px2();
         self.mean_slip_px = self.slip.mean_px();
-        let residuals = fitted.iter().flat_map(|Fitted { group, views, result }| {
-            let of_views = result.iter().flat_map(|fit| &fit.views);
-            views.iter().zip(of_views).map(|(v, view)| (group.reference, *v, view.rms))
-        });
-        let common = self.usual.common(residuals);
-        for Fitted { group, views, result } in fitted {
+        let residuals: Vec<_> = fitted.iter().map(|fitted| self.residuals(encoding, fitted)).collect();
+        let common = self.usual.common(residuals.iter().flatten().map(|one| (one.alike, one.view, one.rms)));
+        let differences = |of_fit: &Vec<Residual>| -> Vec<f64> {
+            of_fit.iter().filter_map(|one| self.usual.difference(one.alike, one.view, one.rms)).collect()
+        };
+        let differences: Vec<_> = residuals.iter().map(differences).collect();
+        if let Some(ln_factor) = self.noisier.lasting(&differences) {
+            self.usual.scale(ln_factor);
+        }
+        for (Fitted { group, views, result }, residuals) in fitted.iter_mut().zip(&residuals) {
             let Ok(fit) = result else { continue };
             fit.covariance += fit.slip_covariance * variance_px2;
             // Views that lastingly disagree do not show one moment, or not what the rig says; chance is 1.
@@ -87,29 +104,31 @@ impl Judge {
             let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);
             *mean += (now - *mean) / DISAGREEMENT_FRAMES;
             fit.covariance *= (*mean - 1.0).max(1.0);
-            // Expected area of the reference band over that of its blob.
+            // Of each band: its expected area over that of its blob.
             let missing = |v: usize, view: &ViewFit| {
-                let blob = found.assigned[group.reference].as_ref().ok()?.blobs[v]?;
-                let knot = view.image.at_arc(0.0);
-                let expected = 2.0 * knot.half_width * knot.scale * rig.markers[group.reference].length_m;
-                Some(expected / found.blobs[blob].area_px2)
+                let of_band = |&(marker, s): &(usize, f64)| {
+                    let blob = found.assigned[marker].as_ref().ok()?.blobs[v]?;
+                    let knot = view.image.at_arc(s);
+                    let expected = 2.0 * knot.half_width * knot.scale * rig.markers[marker].length_m;
+                    Some((marker, expected / found.blobs[blob].area_px2))
+                };
+                group.members.iter().filter_map(of_band).collect()
             };
-            let sizes: Vec<_> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
-            let signs = views.iter().zip(&fit.views).zip(&sizes).map(|((&v, view), size)| {
-                let of_size =
-                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size, 0.0)).min(MAX_SIZE_TERM);
+            let sizes: Vec<Vec<_>> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
+            let signs = residuals.iter().zip(&fit.views).zip(&sizes);
+            let signs = signs.map(|((&Residual { alike, view: v, rms }, view), sizes)| {
+                let of_sizes = sizes.iter().map(|&(marker, size)| self.usual_size.above(marker, v, size, 0.0));
+                let of_sizes = of_sizes.fold(0.0, f64::max).min(MAX_SIZE_TERM);
                 let half_px = view.image.at_arc(0.0).half_width;
                 let of_widths = group.members.iter().zip(&view.widths).map(|((marker, _), width)| {
                     (self.usual_widths.unusual_sd(*marker, v, width, half_px) - CHANCE_SD).max(0.0)
                 });
                 let of_widths = of_widths.fold(0.0, f64::max);
-                // Of a band that is alone for the first time, what was seen of it together with others.
-                let alike = self.stretch[group.reference];
-                let of_residuals = match self.usual.is_known(group.reference, v) || alike == group.reference {
-                    true => self.usual.above(group.reference, v, view.rms, common),
-                    false => self.usual.above_alike(alike, v, view.rms),
+                let of_residuals = match alike == group.reference {
+                    true => self.usual.above(alike, v, rms, common),
+                    false => self.usual.above_alike(alike, v, rms),
                 };
-                of_residuals.hypot(of_size).hypot(of_widths)
+                of_residuals.hypot(of_sizes).hypot(of_widths)
             });
             let signs: Vec<f64> = signs.collect();
             let all = signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt();
@@ -122,19 +141,34 @@ impl Judge {
                 *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
                 continue;
             }
-            for ((v, view), size) in views.iter().zip(&fit.views).zip(sizes) {
-                self.usual.add(group.reference, *v, view.rms);
+            for ((Residual { view: v, rms, .. }, view), sizes) in residuals.iter().zip(&fit.views).zip(sizes) {
+                self.usual.add(group.reference, *v, *rms);
+                self.first_colours.add((group, *v, view));
                 let half_px = view.image.at_arc(0.0).half_width;
                 for ((marker, _), width) in group.members.iter().zip(&view.widths) {
                     self.usual_widths.add(*marker, *v, width, half_px);
                 }
-                if let Some(size) = size {
-                    self.usual_size.add(group.reference, *v, size);
+                for (marker, size) in sizes {
+                    self.usual_size.add(marker, *v, size);
                 }
             }
             if views.iter().all(|v| self.usual.is_known(group.reference, *v)) {
                 group.members.iter().for_each(|(marker, _)| self.stretch[*marker] = group.reference);
             }
         }
+    }
+
+    /// The residuals of a fit; none if there is no fit.
+    fn residuals(&self, encoding: &Encoding, Fitted { group, views, result }: &Fitted) -> Vec<Residual> {
+        let of_views = result.iter().flat_map(|fit| &fit.views);
+        let one = |(&view, fit): (&usize, &ViewFit)| {
+            // Of a band that is alone for the first time, what was seen of it together with others.
+            let known = self.usual.is_known(group.reference, view);
+            let alike = if known { group.reference } else { self.stretch[group.reference] };
+            let usual = |rms: f64| self.usual.difference(alike, view, rms);
+            let rms = fit.rms * self.first_colours.factor((group, view, fit), encoding, usual(fit.rms));
+            Residual { alike, view, rms }
+        };
+        views.iter().zip(of_views).map(one).collect()
     }
 }

@@ -24,6 +24,7 @@ mod lag;
 mod lamp;
 mod last;
 mod light;
+mod light_change;
 mod motion;
 mod moved;
 mod no_fit;

@@ -16,6 +16,7 @@
 use crate::estimate::{Estimate, Position};
 use crate::source::{Picture, Timestamp, Window};
 use crate::track::motion::Place;
+use nalgebra::Vector3;
 
 /// Equal pictures by a coder that predicts, and positions that stay, show after this time that the catheter rests,
 /// seconds.
@@ -29,6 +30,9 @@ const HARDLY: f64 = 0.25;
 /// It moved steadily if, with its present acceleration too, it would move by at least this part of that: by the stamps,
 /// and if all its steps took the same time, as stamps of arrival are uncertain.
 const STEADY: (f64, f64) = (0.5, 0.35);
+/// Its last step was foretold by those before it to this part of it: a motion that is seen in few pictures, as a swing
+/// in eight or fewer, may turn between any two of them.
+const FORETOLD: f64 = 0.45;
 
 /// The last picture that was measured.
 #[derive(Debug, Default)]
@@ -49,9 +53,43 @@ struct Shown {
     moving: bool,
 }
 
-/// The last place of a band, and two more before it from which it had moved away, latest first.
+/// The last place of a band, and three more before it from which it had moved away, latest first.
 #[derive(Debug, Clone, Default)]
-struct Band([Option<Place>; 3]);
+struct Band([Option<Place>; 4]);
+
+/// Three places, one after the other.
+struct Steps {
+    /// The latest step and the one before, metres, and how long they took.
+    way: Vector3<f64>,
+    before: Vector3<f64>,
+    took_s: [f64; 2],
+}
+
+impl Steps {
+    /// Latest first; `None` when one took no time, or too long.
+    fn between(last: &Place, before: &Place, earlier: &Place) -> Option<Self> {
+        let took_s = [last.seconds_since(before), before.seconds_since(earlier)];
+        took_s.iter().all(|time_s| (1e-6..AT_REST_S).contains(time_s)).then(|| Self {
+            way: last.at - before.at,
+            before: before.at - earlier.at,
+            took_s,
+        })
+    }
+
+    /// The same if all steps took the same time.
+    fn even(&self) -> Self {
+        Self { took_s: [1.0; 2], ..*self }
+    }
+
+    /// The way within the next `ahead_s` at the latest velocity, and with the latest acceleration.
+    fn ahead(&self, ahead_s: f64) -> [Vector3<f64>; 2] {
+        let [step_s, earlier_s] = self.took_s;
+        let velocity = self.way / step_s;
+        let acceleration = (velocity - self.before / earlier_s) / ((step_s + earlier_s) / 2.0);
+        let steady = velocity * ahead_s;
+        [steady, steady + acceleration * (ahead_s * (ahead_s + step_s) / 2.0)]
+    }
+}
 
 /// What a band that moved does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,12 +105,12 @@ enum Course {
 impl Band {
     /// Remembers a place; whether the band has moved to it.
     fn has_moved(&mut self, place: Place) -> bool {
-        let [last, before, _] = self.0;
+        let [last, before, earlier, _] = self.0;
         let is_off = |from: Option<Place>, place: &Place| from.is_some_and(|from| place.is_off(&from, MOVED_SD));
         match last {
             // Where it stood, or what was a repeated picture, counts once.
             Some(stood) if before.is_some() && !is_off(before, &stood) => self.0[0] = Some(place),
-            _ => self.0 = [Some(place), last, before],
+            _ => self.0 = [Some(place), last, before, earlier],
         }
         is_off(last, &place)
     }
@@ -91,25 +129,24 @@ impl Band {
 
     /// How far it would have moved by now; `None` if it did not move before, or slowed down, or that is not known.
     fn expected_m(&self, now: &Place) -> Option<f64> {
-        let [Some(last), Some(before), Some(earlier)] = &self.0 else { return None };
-        let [ahead_s, step_s, earlier_s] =
-            [now.seconds_since(last), last.seconds_since(before), before.seconds_since(earlier)];
-        if ![ahead_s, step_s, earlier_s].iter().all(|time_s| (1e-6..AT_REST_S).contains(time_s)) {
+        let [Some(last), Some(before), Some(earlier), Some(earliest)] = &self.0 else { return None };
+        let steps = Steps::between(last, before, earlier)?;
+        let steps_before = Steps::between(before, earlier, earliest)?;
+        let ahead_s = now.seconds_since(last);
+        if !(1e-6..AT_REST_S).contains(&ahead_s) {
             return None;
         }
-        let [way, way_before] = [last.at - before.at, before.at - earlier.at];
-        let is_steady = |[ahead, step, earlier]: [f64; 3], least: f64| {
-            let velocity = way / step;
-            let acceleration = (velocity - way_before / earlier) / ((step + earlier) / 2.0);
-            let steady = velocity * ahead;
-            let predicted = steady + acceleration * (ahead * (ahead + step) / 2.0);
-            predicted.dot(&steady) > least * steady.norm_squared()
-        };
+        let is_steady =
+            |[steady, predicted]: [Vector3<f64>; 2], least: f64| predicted.dot(&steady) > least * steady.norm_squared();
+        let is_foretold =
+            |[_, predicted]: [Vector3<f64>; 2]| (steps.way - predicted).norm() < FORETOLD * steps.way.norm();
         // No further than before: the stamps may lie close together by mistake.
-        let expected_m = way.norm() * (ahead_s / step_s).min(1.0);
+        let [step_s, _] = steps.took_s;
+        let expected_m = steps.way.norm() * (ahead_s / step_s).min(1.0);
         let moved = expected_m.powi(2) > MOVED_SD.powi(2) * (last.variance + before.variance);
-        let steady = is_steady([ahead_s, step_s, earlier_s], STEADY.0) && is_steady([1.0; 3], STEADY.1);
-        (moved && steady).then_some(expected_m)
+        let steady = is_steady(steps.ahead(ahead_s), STEADY.0) && is_steady(steps.even().ahead(1.0), STEADY.1);
+        let foretold = is_foretold(steps_before.ahead(step_s)) || is_foretold(steps_before.even().ahead(1.0));
+        (moved && steady && foretold).then_some(expected_m)
     }
 }
 
@@ -181,7 +218,7 @@ mod tests {
     use crate::source::{Clock, Colour, PixelFormat, Quantisation};
     use crate::testing::fixture;
     use crate::testing::random::Random;
-    use nalgebra::{Matrix3, Point3, Vector3};
+    use nalgebra::{Matrix3, Point3};
 
     /// Of each coordinate.
     const SD_M: f64 = 5e-5;
@@ -280,6 +317,9 @@ mod tests {
             let all: usize = (1..=100).map(|k| standing_of(f64::from(k) * 0.001)).sum();
             assert!(all < most, "{all} of 24,000 with {jitter_s} s");
         }
+        // In few pictures, as at 15 frames per second.
+        let fast: usize = (1..=80).map(|k| standing(swing(0.1 + f64::from(k) * 0.005)).len()).sum();
+        assert!(fast < 192, "{fast} of 19,200");
         // Critically damped, as a step of the current moves it.
         let step = |t: f64| 0.03 * (1.0 - (1.0 + t) * (-t).exp());
         assert_eq!(standing(|frame| Vector3::x() * step(0.3 * (frame - 40).max(0) as f64)), [0; 0]);

@@ -102,6 +102,17 @@ impl Usual {
         seen.map_or(0.0, |(mean, sd)| ((value.ln() - mean) / sd.max(LEARNED_SD)).max(0.0))
     }
 
+    /// ln of the factor by which a value differs from what was seen, once enough was.
+    pub(crate) fn difference(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
+        let (mean, _) = self.level(marker, view)?.seen()?;
+        Some(value.ln() - mean)
+    }
+
+    /// Multiplies all that was seen by a factor, given as its ln.
+    pub(crate) fn scale(&mut self, ln_factor: f64) {
+        self.levels.iter_mut().flatten().for_each(|level| level.mean += ln_factor);
+    }
+
     /// Whether enough was seen of a marker in a view.
     pub(crate) fn is_known(&self, marker: usize, view: usize) -> bool {
         self.level(marker, view).is_some_and(|level| level.seen().is_some())
