@@ -6,6 +6,7 @@ mod assign;
 #[cfg(test)]
 mod assign_tests;
 mod blending;
+mod by_band;
 mod chunk;
 mod coil;
 mod compare;
