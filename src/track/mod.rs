@@ -11,6 +11,7 @@ mod chunk;
 mod coil;
 mod compare;
 mod covariance;
+mod diameter;
 mod equations;
 mod fields;
 mod find;
