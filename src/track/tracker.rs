@@ -379,7 +379,7 @@ impl Tracker {
         }
     }
 
-    /// Fits the coil of some frames with another diameter of the tube too, if its bands do not look as wide as the rig's.
+    /// Fits the coil of some frames with another diameter too, if the bands do not look as wide as the rig's tube.
     fn follow_diameter(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
         let (Some(times), Some((of_coil, fit))) = (self.diameter.tried(), self.of_coil(fitted)) else { return };
         let mut group = of_coil.group.clone();

@@ -4,11 +4,11 @@ use crate::support::command::{rig, sample};
 use catoptra::source::{FrameSource as _, Span, VideoFile, VideoOptions};
 use catoptra::track::{TrackOptions, Tracker};
 
-/// What is said of the diameter in the first two seconds of a recording, where the rig's is so many times the true one.
+/// What is said of the diameter in the first three seconds of a recording, where the rig's is so many times the true one.
 fn said(name: &str, times: f64) -> Option<String> {
     let mut rig = rig();
     rig.catheter.diameter_m *= times;
-    let span = Span { from_ns: None, to_ns: Some(2_000_000_000) };
+    let span = Span { from_ns: None, to_ns: Some(3_000_000_000) };
     let mut source = VideoFile::open(sample(name), VideoOptions { span, ..VideoOptions::default() }).unwrap();
     let mut tracker = Tracker::new(&rig, TrackOptions::default()).unwrap();
     let mut said = Vec::new();
