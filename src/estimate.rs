@@ -140,6 +140,8 @@ pub struct BandObservation {
     pub fit_rms: f64,
     /// Separation of the band's colour from its surroundings: 1 as learned, 0 indistinguishable.
     pub separation: f64,
+    /// How wide it is, over a tube of the rig's diameter.
+    pub width: f64,
     /// Outline of the band as fitted, pixels, closed polygon.
     pub outline_px: Vec<Point2<f64>>,
 }

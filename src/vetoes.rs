@@ -6,6 +6,7 @@
 //! may be tracked again from another moment on.
 
 use crate::atomic_file;
+use crate::plural::are;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
@@ -84,9 +85,10 @@ impl Vetoes {
         let found: BTreeSet<i64> = stamps_ns.filter(|stamp_ns| self.0.contains_key(stamp_ns)).collect();
         let lost: Vec<i64> = self.0.keys().filter(|stamp_ns| !found.contains(stamp_ns)).copied().collect();
         let first = lost.first()?;
-        let vetoes = if lost.len() == 1 { "1 veto is".to_owned() } else { format!("{} vetoes are", lost.len()) };
+        let frames = are(lost.len() as u64, "frame");
         let was = "the run may have been tracked again with another span or other times";
-        Some(format!("{FILE}: {vetoes} of no frame of this run (stamp_ns {first}{}): {was}", more(lost.len() - 1)))
+        let first = format!("stamp_ns {first}{}", more(lost.len() - 1));
+        Some(format!("{FILE}: {frames} vetoed that this run does not have ({first}): {was}"))
     }
 }
 
@@ -184,7 +186,10 @@ mod tests {
         assert_eq!((standing.of(500), standing.of(600)), (None, Some("hand")));
         assert_eq!(standing.without_frame([400, 500, 600].into_iter()), None);
         let said = standing.without_frame([400, 500].into_iter()).unwrap();
-        assert!(said.starts_with("vetoes.csv: 1 veto is of no frame of this run (stamp_ns 600):"), "{said}");
+        assert!(
+            said.starts_with("vetoes.csv: 1 frame is vetoed that this run does not have (stamp_ns 600):"),
+            "{said}"
+        );
         let path = folder.path().join(FILE);
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, text.replace("vetoed,hand", "Veto,hand")).unwrap();

@@ -187,6 +187,9 @@ pub(crate) struct View {
     /// Colour separation, 1 as learned.
     pub(crate) separation_mean: Option<f64>,
     pub(crate) separation_least: Option<f64>,
+    /// Width over that of a tube of the rig's diameter; earlier versions have none.
+    #[serde(default)]
+    pub(crate) width_mean: Option<f64>,
 }
 
 /// How often a quantity was missed for one reason.
@@ -261,6 +264,7 @@ impl Measured {
                     residual_rms_px: view.rms_px(),
                     separation_mean: view.mean_separation(),
                     separation_least: view.least_separation,
+                    width_mean: view.mean_width(),
                 })
                 .collect(),
         };
@@ -370,6 +374,7 @@ impl RunSummary {
             residual_rms_px: Some(0.05),
             separation_mean: Some(0.97),
             separation_least: Some(0.9),
+            width_mean: Some(1.01),
         };
         let marker = Marker { name: "tip".into(), answered: 99, sd_mm: Some(0.03), views: vec![view] };
         let measured = Measured {

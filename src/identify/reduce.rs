@@ -10,6 +10,7 @@ use super::balance::Balanced;
 use super::gramian::{band_factors, factor};
 use super::model::{Polynomials, monic};
 use super::state_space::StateSpace;
+use crate::plural::are;
 use nalgebra::{Complex, DMatrix, DVector, RowDVector};
 
 /// `auto`: bound on the error of the response, as a fraction of its largest value.
@@ -102,7 +103,7 @@ fn reduce_prompt(model: &Polynomials, how: Reduction) -> Result<Reduced, Identif
         Target::Order(order) => match order.checked_sub(fixed) {
             Some(keep) if order > 0 => keep.min(rank),
             _ => {
-                let states = if fixed == 1 { "1 state is".to_owned() } else { format!("{fixed} states are") };
+                let states = are(fixed as u64, "state");
                 return Err(not_reduced(format!("order {order} asked, and {states} unstable and must be kept")));
             }
         },

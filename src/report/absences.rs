@@ -22,10 +22,10 @@ struct Bar {
     text: String,
 }
 
-/// One row for the frames lost and one for each reason of a miss.
-pub(super) fn absences(course: &Course, time: &str) -> Plot {
+/// One row for the frames that are `lost`, or whatever the word for them is, and one for each reason of a miss.
+pub(super) fn absences(course: &Course, time: &str, lost: &str) -> Plot {
     let bins = course.timeline.bins();
-    let mut rows = vec![Row { name: "frames lost".into(), colour: PALETTE.gap, bars: gaps(bins) }];
+    let mut rows = vec![Row { name: format!("frames {lost}"), colour: PALETTE.gap, bars: gaps(bins, lost) }];
     rows.extend(course.reasons.iter().enumerate().map(|(number, (what, why))| Row {
         name: format!("{what}: {}", plain_words(why)),
         colour: PALETTE.miss,
@@ -80,13 +80,13 @@ pub(super) fn absences(course: &Course, time: &str) -> Plot {
 }
 
 /// From the last frame before a gap to the first after it; within a bin of many frames, the bin.
-fn gaps(bins: &[Bin]) -> Vec<Bar> {
+fn gaps(bins: &[Bin], word: &str) -> Vec<Bar> {
     let lossy = bins.iter().filter(|b| b.lost > 0);
     lossy
         .map(|b| Bar {
             from_s: if b.lost_before > 0 { b.before_s } else { b.from_s },
             to_s: if b.lost == b.lost_before { b.from_s } else { b.to_s },
-            text: format!("{} lost", b.lost),
+            text: format!("{} {word}", b.lost),
         })
         .collect()
 }

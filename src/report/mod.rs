@@ -51,6 +51,9 @@ pub struct RunInfo {
     pub settings: Vec<(String, String)>,
     /// Whether to give positions in the camera frame even if the rig has a base frame.
     pub camera_frame: bool,
+    /// Whether the source is a log that is tracked again: of the frames that are missing the camera need not have lost
+    /// all.
+    pub of_log: bool,
 }
 
 /// Collects a run and writes its report at the end.

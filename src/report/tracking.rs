@@ -6,10 +6,10 @@ use super::course::{Channel, Course};
 use super::figures;
 use super::html::{Html, escape};
 use super::page::{self, facts_table, figure, signed, table, trouble};
-use crate::plural::plural;
+use crate::plural::{are, plural};
 use crate::sink::plain_words;
 use crate::tally::budget::{Contribution, together};
-use crate::tally::{AlarmInWords, Drifted, MissCount, Tally};
+use crate::tally::{AlarmInWords, Drifted, MISSING_OF_LOG, MissCount, Tally};
 use std::collections::BTreeSet;
 
 /// The title of the page, and what is on it; `pictures` is a section of it.
@@ -17,11 +17,11 @@ pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally, pictures: &
     let any = tally.frames > 0;
     // The result comes first, then what is missing, then its reliability, then its origin.
     let mut body = header(info, tally);
-    body += &key_figures(course, tally);
+    body += &key_figures(info, course, tally);
     if any && course.has_base() {
         body += &deflection(course);
     }
-    body += &missing(course, tally);
+    body += &missing(info, course, tally);
     body += pictures;
     if any {
         body += &motion(course);
@@ -51,6 +51,9 @@ fn header(info: &RunInfo, tally: &Tally) -> String {
         };
         let lost = match tally.lost {
             0 => "the camera lost none".to_owned(),
+            n if info.of_log => {
+                format!("{} missing in {}: {MISSING_OF_LOG}", are(n, "frame"), plural(tally.gaps, "gap"))
+            }
             n => format!("the camera lost {} more in {}", plural(n, "frame"), plural(tally.gaps, "gap")),
         };
         let angle = match (tally.theta.range_deg, tally.theta.median_sd_deg()) {
@@ -83,7 +86,7 @@ fn header(info: &RunInfo, tally: &Tally) -> String {
     )
 }
 
-fn key_figures(course: &Course, tally: &Tally) -> String {
+fn key_figures(info: &RunInfo, course: &Course, tally: &Tally) -> String {
     let mut cards = String::new();
     let mut card = |name: &str, value: String, unit: &str, warn: bool| cards += &page::card(name, value, unit, warn);
     card("Frames", tally.frames.to_string(), "", false);
@@ -94,7 +97,8 @@ fn key_figures(course: &Course, tally: &Tally) -> String {
         tally.complete < tally.frames,
     );
     let gaps = if tally.lost > 0 { format!("in {}", plural(tally.gaps, "gap")) } else { String::new() };
-    card("Lost by the camera", tally.lost.to_string(), &gaps, tally.lost > 0);
+    let lost = if info.of_log { "Missing" } else { "Lost by the camera" };
+    card(lost, tally.lost.to_string(), &gaps, tally.lost > 0);
     if course.has_base() {
         let sd = tally.theta.median_sd_deg().map_or("–".to_owned(), |sd| format!("{sd:.3}°"));
         card("Median σ of θ", sd, "", false);
@@ -139,6 +143,7 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
                 mean,
                 number(view.mean_separation(), 2),
                 number(view.least_separation, 2),
+                number(view.mean_width(), 2),
             ]);
         }
     }
@@ -149,7 +154,7 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
          of one direction across for the tangent.</p>\n{}\
          <p>Each view on its own: the residual is where the band is seen minus where the common answer of all views \
          projects to. The RMS is of one pixel coordinate. Bands that stand close together are fitted as one piece of \
-         tube and have one residual between them. </p>\n{}{}",
+         tube and have one residual between them. The width is over that of a tube of the rig's diameter.</p>\n{}{}",
         table(1, &["Quantity", "Frames answered", "Share", "Median σ"], &quantities),
         table(
             1,
@@ -160,7 +165,8 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
                 "Residual RMS (px)",
                 "Mean u, v (px)",
                 "Separation, mean",
-                "smallest"
+                "smallest",
+                "Width"
             ],
             &views
         ),
@@ -195,7 +201,7 @@ fn row(name: &str, unit: &str, answered: u64, tally: &Tally, sd: Option<f64>) ->
     vec![name.to_owned(), answered.to_string(), share(answered, tally.frames), sd]
 }
 
-fn missing(course: &Course, tally: &Tally) -> String {
+fn missing(info: &RunInfo, course: &Course, tally: &Tally) -> String {
     let mut text = "<h2>What is missing</h2>\n".to_owned();
     if !course.has_base() {
         text += "<p>The rig has no base frame yet, so there is no deflection angle in this run: positions and the \
@@ -215,16 +221,23 @@ fn missing(course: &Course, tally: &Tally) -> String {
     let mut rows: Vec<Vec<String>> = misses.iter().map(row).collect();
     if tally.lost > 0 {
         let share = share(tally.lost, tally.frames + tally.lost);
-        rows.push(vec!["whole frames".into(), "lost by the camera".into(), tally.lost.to_string(), share]);
+        let why = if info.of_log { MISSING_OF_LOG } else { "lost by the camera" };
+        rows.push(vec!["whole frames".into(), why.into(), tally.lost.to_string(), share]);
     }
     text += &table(2, &["What", "Why", "Frames", "Share"], &rows);
     if tally.frames == 0 {
         return text;
     }
     let height = 90 + 30 * (course.reasons.len() as u32 + 1);
-    text += "<p>When: one row for each reason. Grey bars are frames that the camera never delivered, from the last \
-             frame before to the first after.</p>\n";
-    text += &figure("plot-misses", &absences(course, time_title(course)), height, true);
+    let (lost, grey) = match info.of_log {
+        true => ("missing", MISSING_OF_LOG),
+        false => ("lost", "that the camera never delivered"),
+    };
+    text += &format!(
+        "<p>When: one row for each reason. Grey bars are frames {grey}, from the last frame before to the first \
+         after.</p>\n"
+    );
+    text += &figure("plot-misses", &absences(course, time_title(course), lost), height, true);
     text + &trouble(
         "misses in rows one below the other at the same angle of every swing: the catheter then leaves a view or is \
          covered there. Grey bars at regular intervals: the recording computer cannot keep up.",

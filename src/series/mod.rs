@@ -31,6 +31,7 @@ pub use error::SeriesError;
 pub use ticks::Ticks;
 
 use crate::log::is_log;
+use crate::plural::are;
 use crate::sink::OutputFrame;
 use crate::vetoes::{self, VETOED, Vetoes};
 use nalgebra::{Point3, Vector3};
@@ -131,7 +132,7 @@ impl Recording {
             tracing::warn!("{}: {said}", path.display());
         }
         if recording.vetoed > 0 {
-            let frames = if recording.vetoed == 1 { "1 frame is" } else { &format!("{} frames are", recording.vetoed) };
+            let frames = are(recording.vetoed, "frame");
             tracing::warn!("{}: {frames} left out: vetoed in {}", path.display(), vetoes::FILE);
         }
         Ok(recording)

@@ -19,6 +19,7 @@ use crate::log::fields::{floats, list, number, text, word};
 use crate::log::records::Records;
 use crate::log::schema::{Topic, WINDOW_FORMAT};
 use crate::log::typed;
+use crate::plural::are;
 use image::codecs::png::PngDecoder;
 use image::{ColorType, ImageDecoder as _, Limits};
 use mcap::records::Record;
@@ -218,8 +219,8 @@ impl FrameSource for LogWindows {
             return Ok(Some(Frame { seq, stamp, gap, host, picture }));
         }
         if self.lacking > 0 {
-            let rows = if self.lacking == 1 { "1 row is".to_owned() } else { format!("{} rows are", self.lacking) };
-            tracing::warn!("{}: {rows} missing in the log: the camera need not have lost them", self.path.display());
+            let (log, rows) = (self.path.display(), are(self.lacking, "row"));
+            tracing::warn!("{log}: {rows} missing in the log: the camera need not have lost them");
             self.lacking = 0;
         }
         let condition = self.records.condition();

@@ -49,6 +49,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
     };
     let since_first_s = |ns: i64| (ns - first_ns) as f64 * 1e-9;
     let alarm = |(ns, over_ns, what): &(i64, Option<i64>, String)| json!({ "t_s": since_first_s(*ns), "over_s": over_ns.map(since_first_s), "what": what });
+    let (vetoes, vetoes_of_none) = veto::standing(&run)?;
     Ok(Reply::Json(json!({
         "run": asked.run,
         "recording": run.recording,
@@ -66,7 +67,8 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
         "residuals": residuals,
         "alarms": run.alarms.iter().map(alarm).collect::<Vec<_>>(),
         "cut": run.cut,
-        "vetoes": veto::standing(&run)?,
+        "vetoes": vetoes,
+        "vetoes_of_none": vetoes_of_none,
         "set_up": run.rig.as_ref().map(scene::set_up),
         "note": run.note,
     })))

@@ -37,16 +37,17 @@ pub(super) fn veto(desk: &Desk, asked: &Asked) -> Result<Reply, Refusal> {
         return Err(Refusal::wrong(problem));
     }
     let standing = vetoes::add(run.folder(), (row.seq, row.stamp_ns), asked.vetoed, comment).map_err(refused)?;
-    Ok(Reply::Json(json!({ "vetoes": vetoes_json(&run, &standing), "file": FILE })))
+    Ok(Reply::Json(json!({ "vetoes": of_run(&run, &standing), "file": FILE })))
 }
 
-/// Frames of a run that are vetoed now, as the page takes them: number, and why.
-pub(super) fn standing(run: &Run) -> Result<Value, Refusal> {
-    Ok(vetoes_json(run, &Vetoes::read(run.folder()).map_err(refused)?))
+/// Frames of a run that are vetoed now, as the page takes them: number, and why. Also what to say of vetoes that are of
+/// none of its frames.
+pub(super) fn standing(run: &Run) -> Result<(Value, Option<String>), Refusal> {
+    let standing = Vetoes::read(run.folder()).map_err(refused)?;
+    Ok((of_run(run, &standing), standing.without_frame(run.rows.iter().map(|row| row.stamp_ns))))
 }
 
-/// A veto of no frame of this run is not among them.
-fn vetoes_json(run: &Run, standing: &Vetoes) -> Value {
+fn of_run(run: &Run, standing: &Vetoes) -> Value {
     let of_run = run.rows.iter().filter_map(|row| Some((row.seq, standing.of(row.stamp_ns)?)));
     json!(of_run.collect::<BTreeMap<_, _>>())
 }

@@ -18,6 +18,9 @@ use crate::rig::Rig;
 /// Camera time between reports of the totals.
 const REPORT_EVERY_NS: u64 = 1_000_000_000;
 
+/// Why frames are missing in a log that is tracked again.
+pub(crate) const MISSING_OF_LOG: &str = "lost by the camera, or not in the log";
+
 /// The count of a run.
 #[derive(Debug, Clone, Default)]
 pub struct Tally {
@@ -143,6 +146,9 @@ pub struct ViewTally {
     sum_separation: f64,
     /// Smallest colour separation.
     pub least_separation: Option<f64>,
+    /// Frames with a width, and their sum.
+    measured: u64,
+    sum_width: f64,
 }
 
 /// An angle.
@@ -224,6 +230,10 @@ impl Tally {
                     total.sum_separation += band.separation;
                     let least = total.least_separation.map_or(band.separation, |l| l.min(band.separation));
                     total.least_separation = Some(least);
+                }
+                if band.width.is_finite() {
+                    total.measured += 1;
+                    total.sum_width += band.width;
                 }
                 let residual = band.residual_px;
                 if marker.position.is_ok() && residual.iter().all(|v| v.is_finite()) {
@@ -357,6 +367,11 @@ impl ViewTally {
     /// Mean colour separation.
     pub fn mean_separation(&self) -> Option<f64> {
         (self.separated > 0).then(|| self.sum_separation / self.separated as f64)
+    }
+
+    /// Mean width over that of a tube of the rig's diameter.
+    pub fn mean_width(&self) -> Option<f64> {
+        (self.measured > 0).then(|| self.sum_width / self.measured as f64)
     }
 }
 

@@ -135,6 +135,7 @@ fn band(seq: u64, along_m: f64, view: f64) -> BandObservation {
         residual_px: Vector2::new(0.03, -0.05),
         fit_rms: 2.5,
         separation: 0.9,
+        width: 1.02,
         outline_px: (0..20).map(|i| centre_px + Vector2::new(f64::from(i).cos(), f64::from(i).sin()) * 8.0).collect(),
     }
 }

@@ -82,6 +82,7 @@ fn marker(
                 residual_px: view.residual_px,
                 fit_rms: view.rms,
                 separation: separation(rig, encoding, group, member, v, &view.look.colours),
+                width: view.widths.get(member).map_or(f64::NAN, |width| 1.0 + width.beyond_px / knot.half_width),
                 outline_px: outline(&view.image, s - half, s + half),
             })
         })

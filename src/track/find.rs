@@ -53,6 +53,13 @@ impl Finder {
     /// # Errors
     /// When the picture cannot be segmented, or too little of it was recorded.
     pub(crate) fn find(&mut self, rig: &Rig, frame: &Frame) -> Result<Found, SegmentError> {
+        match self.find_in_picture(rig, frame) {
+            Err(SegmentError::NotRecorded(why)) => self.find_in_parts(rig, frame, why),
+            found => found,
+        }
+    }
+
+    fn find_in_picture(&mut self, rig: &Rig, frame: &Frame) -> Result<Found, SegmentError> {
         let picture = &frame.picture;
         if let Some(windows) = self.assigner.windows(rig, frame.stamp) {
             let blobs = if self.full_frame {
@@ -68,10 +75,7 @@ impl Finder {
                 return Ok(found);
             }
         }
-        let blobs = match self.segmenter.all_blobs(picture) {
-            Err(SegmentError::NotRecorded(why)) => return self.find_in_parts(rig, frame, why),
-            blobs => blobs?.to_vec(),
-        };
+        let blobs = self.segmenter.all_blobs(picture)?.to_vec();
         let assigned = self.assigner.assign(rig, &blobs, frame.stamp);
         Ok(Found { blobs, assigned })
     }
@@ -89,7 +93,8 @@ impl Finder {
     }
 
     /// Bands that lie whole in the parts of a picture that were recorded: how a log is followed whose beginning is lost
-    /// or left out. It counts only when all are there: no other tells what is behind what was not recorded.
+    /// or left out, and after frames in which a band was not measured now, but was then: it is searched further away.
+    /// It counts only when all are there: no other tells what is behind what was not recorded.
     fn find_in_parts(&mut self, rig: &Rig, frame: &Frame, why: NotRecorded) -> Result<Found, SegmentError> {
         let inner = |part: &Window| Search { marker: None, view: None, window: part.shrunk(RING_PX) };
         let searches = frame.picture.recorded().unwrap_or_default().iter().map(inner);

@@ -6,10 +6,12 @@ mod assign;
 #[cfg(test)]
 mod assign_tests;
 mod blending;
+mod by_band;
 mod chunk;
 mod coil;
 mod compare;
 mod covariance;
+mod diameter;
 mod equations;
 mod fields;
 mod find;

@@ -7,6 +7,7 @@ use crate::source::{Frame, Picture, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::blending::Blending;
 use crate::track::coil::deflection;
+use crate::track::diameter::Diameter;
 use crate::track::fields::Fields;
 use crate::track::find::{Finder, Found};
 use crate::track::fit::TubeFit;
@@ -31,7 +32,7 @@ use crate::track::shake::Shake;
 use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::{ShapeStep, TubeShape};
 use crate::track::warnings::{
-    BLENDED, COLOURS_LAG, FRINGES, MOVED, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, UNLIKE_TAUGHT,
+    BLENDED, COLOURS_LAG, FRINGES, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, UNLIKE_TAUGHT,
     VIEWS_DISAGREE, WOVEN,
 };
 use nalgebra::Vector2;
@@ -40,6 +41,9 @@ use nalgebra::Vector2;
 /// models are compared, more of it tells what is noise.
 const TRACKED_PX: f64 = 4.0;
 const COMPARED_PX: f64 = 5.0;
+
+/// Blurs that may be taken for another diameter of the tube, over that of the pictures.
+const OTHER_BLURS: [f64; 3] = [0.7, 1.4, 1.8];
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -98,6 +102,7 @@ pub struct Tracker {
     fields: Fields,
     fringes: Fringes,
     rolling: Option<Rolling>,
+    diameter: Diameter,
     /// What was warned of.
     warned: Vec<&'static str>,
     /// The last frame that was measured.
@@ -138,6 +143,7 @@ impl Tracker {
             fields: Fields::default(),
             fringes: Fringes::default(),
             rolling: Rolling::of(rig),
+            diameter: Diameter::of(rig),
             warned: Vec::new(),
             latest: None,
             lamp: options.tick_led.map(Lamp::new),
@@ -188,6 +194,7 @@ impl Tracker {
     pub(crate) fn learn(&mut self, frame: &Frame, measured: Option<Measured>) {
         let Some(Measured { found, fitted, moved_px }) = measured else { return };
         self.follow_blur(frame, &found, &fitted, moved_px);
+        self.follow_diameter(frame, &found, &fitted);
         self.keep_shapes(frame.stamp, &fitted);
     }
 
@@ -225,6 +232,7 @@ impl Tracker {
             return Ok((Err(Miss::Repeated), None));
         }
         self.order.add(&estimate);
+        self.diameter.add(&estimate);
         // 4. implausible motion becomes a miss
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         // Before σ is widened: pictures that repeat scatter.
@@ -246,6 +254,7 @@ impl Tracker {
 
     /// What to warn of in the pictures so far, each once.
     pub fn warning(&mut self) -> Option<String> {
+        let diameter = self.diameter.doubt();
         let seen = [
             (self.pairs.are_alike(), PAIRED_CHROMA),
             (self.judge.views_disagree(), VIEWS_DISAGREE),
@@ -258,13 +267,15 @@ impl Tracker {
             (self.order.is_wrong(), OUT_OF_ORDER),
             (self.fields.are_woven(), WOVEN),
             (self.fringes.are_seen(), FRINGES),
+            (diameter.is_some(), OTHER_TUBE),
         ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
         self.warned.push(new);
         let noticed = self
             .latest
             .map_or(String::new(), |(seq, stamp)| format!("noticed at frame {seq}, {} s: ", stamp.seconds()));
-        Some(noticed + new)
+        let said = diameter.filter(|_| new == OTHER_TUBE).unwrap_or_default();
+        Some(noticed + &said + new)
     }
 
     /// Errors of the image model common to all frames so far, of which `picture` is one. Noise tells nothing of what
@@ -368,6 +379,21 @@ impl Tracker {
         }
     }
 
+    /// Fits the coil of some frames with another diameter too, if the bands do not look as wide as the rig's tube.
+    fn follow_diameter(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
+        let (Some(times), Some((of_coil, fit))) = (self.diameter.tried(), self.of_coil(fitted)) else { return };
+        let mut group = of_coil.group.clone();
+        group.stretch.radius_m *= times;
+        let other = Fitted { group, views: of_coil.views.clone(), result: Ok(fit.clone()) };
+        let Some(fit) = self.fitting(frame, found, &self.model, TRACKED_PX).again(&other, None) else { return };
+        let blurred = OTHER_BLURS.iter().filter_map(|times| {
+            let model = ImageModel { blur_px: self.model.blur_px * times, ..self.model.clone() };
+            self.fitting(frame, found, &model, TRACKED_PX).again(of_coil, None)
+        });
+        let blurred: Vec<TubeFit> = blurred.collect();
+        self.diameter.add_tried(&fit, &blurred);
+    }
+
     /// Widens covariances by how much late colours move the fits.
     fn widen_by_lag(&self, stamp: Timestamp, fitted: &mut [Fitted]) {
         let late = self.lag.late();
@@ -402,6 +428,7 @@ impl Tracker {
         // The base band moves with the model, not with the camera.
         self.shake.forget();
         self.moved.forget();
+        self.diameter.forget(&self.rig);
     }
 
     /// Remembers where the tube is, for later frames.

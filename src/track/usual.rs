@@ -11,6 +11,7 @@
 //! first frame on.
 
 use crate::rig::Rig;
+use crate::track::by_band::ByBand;
 
 /// Frames before the first comparison, and frames to average over.
 const MIN_FRAMES: f64 = 8.0;
@@ -54,12 +55,12 @@ impl Level {
 /// For each marker that is the reference of a stretch, in each view.
 #[derive(Debug)]
 pub(crate) struct Usual {
-    levels: Vec<Vec<Level>>,
+    levels: ByBand<Level>,
 }
 
 impl Usual {
     pub(crate) fn new(rig: &Rig) -> Self {
-        Self { levels: vec![vec![Level::default(); rig.views.len()]; rig.markers.len()] }
+        Self { levels: ByBand::new(rig, |_, _| Level::default()) }
     }
 
     /// The same, beginning with the residuals that were learned with the rig.
@@ -68,21 +69,20 @@ impl Usual {
             learned: rig.markers[m].usual_residuals.get(v).map(|residual| residual.ln()),
             ..Level::default()
         };
-        let levels = |m: usize| (0..rig.views.len()).map(|v| level(m, v)).collect();
-        Self { levels: (0..rig.markers.len()).map(levels).collect() }
+        Self { levels: ByBand::new(rig, level) }
     }
 
     /// ln of the factor by which all values of a frame exceed what was learned: that of the smallest. 0 if nothing was,
     /// and where one is below it: a coder takes noise out of what rests more than out of what moves.
     pub(crate) fn common(&self, values: impl Iterator<Item = (usize, usize, f64)>) -> f64 {
-        let beyond = values.filter_map(|(m, v, value)| Some(value.ln() - self.level(m, v)?.learned?));
+        let beyond = values.filter_map(|(m, v, value)| Some(value.ln() - self.levels.get(m, v)?.learned?));
         beyond.min_by(f64::total_cmp).unwrap_or(0.0).max(0.0)
     }
 
     /// Standard deviations by which a value exceeds the usual one, where all values of the frame exceed what was
     /// learned by `common`; 0 below it, and while too little is known.
     pub(crate) fn above(&mut self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
-        let Some(level) = self.levels.get_mut(marker).and_then(|views| views.get_mut(view)) else { return 0.0 };
+        let Some(level) = self.levels.get_mut(marker, view) else { return 0.0 };
         let (mean, sd) = if let Some(seen) = level.seen() {
             seen
         } else if let Some(learned) = level.learned
@@ -98,7 +98,7 @@ impl Usual {
 
     /// The same by what was seen of another marker that looks about alike; 0 if too little was.
     pub(crate) fn above_alike(&self, marker: usize, view: usize, value: f64) -> f64 {
-        let seen = self.level(marker, view).and_then(Level::seen);
+        let seen = self.levels.get(marker, view).and_then(Level::seen);
         seen.map_or(0.0, |(mean, sd)| ((value.ln() - mean) / sd.max(LEARNED_SD)).max(0.0))
     }
 
@@ -115,39 +115,35 @@ impl Usual {
 
     /// Whether enough was seen of a marker in a view.
     pub(crate) fn is_known(&self, marker: usize, view: usize) -> bool {
-        self.level(marker, view).is_some_and(|level| level.seen().is_some())
+        self.levels.get(marker, view).is_some_and(|level| level.seen().is_some())
     }
 
     /// Whether some values exceeded what was learned for as long as it counts.
     pub(crate) fn is_unlike_learned(&self) -> bool {
-        self.levels.iter().flatten().any(|level| level.compared >= COMPARED_FRAMES)
+        self.levels.iter().any(|level| level.compared >= COMPARED_FRAMES)
     }
 
     /// By which factor a value exceeds the usual or learned one; 1 while neither is known.
     pub(crate) fn ratio(&self, marker: usize, view: usize, value: f64) -> f64 {
-        let level = self.level(marker, view);
+        let level = self.levels.get(marker, view);
         level.and_then(Level::usual).map_or(1.0, |(mean, _)| value / mean.exp())
     }
 
     /// By how many standard deviations a value exceeds the usual or learned one; `None` while neither is known.
     pub(crate) fn beyond(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
-        let (mean, sd) = self.level(marker, view)?.usual()?;
+        let (mean, sd) = self.levels.get(marker, view)?.usual()?;
         Some((value.ln() - mean) / sd)
     }
 
     /// The usual value of a marker in each view; `None` where too little is known.
     pub(crate) fn values(&self, marker: usize) -> Option<Vec<f64>> {
         let value = |level: &Level| (level.frames >= MIN_FRAMES).then(|| level.mean.exp());
-        self.levels.get(marker)?.iter().map(value).collect()
-    }
-
-    fn level(&self, marker: usize, view: usize) -> Option<&Level> {
-        self.levels.get(marker)?.get(view)
+        self.levels.of_marker(marker)?.iter().map(value).collect()
     }
 
     /// Adds an accepted value.
     pub(crate) fn add(&mut self, marker: usize, view: usize, value: f64) {
-        let Some(level) = self.levels.get_mut(marker).and_then(|views| views.get_mut(view)) else { return };
+        let Some(level) = self.levels.get_mut(marker, view) else { return };
         let off = value.max(f64::MIN_POSITIVE).ln() - level.mean;
         let off = level.seen().map_or(off, |(_, sd)| off.clamp(-HELD_SD * sd, HELD_SD * sd));
         level.frames = (level.frames + 1.0).min(AVERAGED_FRAMES);
@@ -215,7 +211,7 @@ mod tests {
         assert!(usual.above(1, 1, 9.4, common) > 4.5 && usual.is_unlike_learned());
         assert!(usual.above(1, 1, 12.0, 0.25) < 1e-12);
         (0..8).for_each(|_| usual.add(1, 0, 8.0));
-        assert!(usual.above(1, 0, 8.1, 0.0) < 1.0 && (usual.levels[1][0].mean.exp() - 8.0).abs() < 1e-9);
+        assert!(usual.above(1, 0, 8.1, 0.0) < 1.0 && (usual.ratio(1, 0, 8.0) - 1.0).abs() < 1e-9);
         assert!(usual.values(1).is_none() && usual.values(0).is_none(), "not known in all views");
     }
 }

@@ -33,3 +33,6 @@ pub(super) const SHAKES: &str = "the base band, which should rest, shakes by mor
 pub(super) const MOVED: &str = "the base band, which should rest, is not where it was in the first frames: camera, \
      mirror, tank or clamp have moved since, or the band is too far from its clamp; σ of all positions is widened by \
      as much, but not that of directions and θ, which hold if the whole picture moved alike";
+/// After the numbers (diameter.rs).
+pub(super) const OTHER_TUBE: &str = "; measure the tube, and teach the bands with its diameter (or the tape around \
+     them, or the scale of the calibration, is another)";

@@ -10,6 +10,7 @@
 
 use crate::rig::Rig;
 use crate::track::appearance::Layout;
+use crate::track::by_band::ByBand;
 use crate::track::equations::Eliminated;
 use crate::track::normal::{Row, Span, add_colours};
 use nalgebra::DVector;
@@ -61,7 +62,7 @@ pub(crate) fn widths(spans: &[Span], sums: &[Sum], layout: &Layout, view: &Elimi
 
 /// The usual width of each marker in each view, beyond that of the tube.
 pub(crate) struct UsualWidths {
-    levels: Vec<Vec<Level>>,
+    levels: ByBand<Level>,
 }
 
 #[derive(Clone, Copy)]
@@ -76,24 +77,20 @@ struct Level {
 
 impl UsualWidths {
     pub(crate) fn new(rig: &Rig) -> Self {
-        Self {
-            levels: vec![
-                vec![Level { mean_px: 0.0, variance_px2: None, scatter: 1.0 }; rig.views.len()];
-                rig.markers.len()
-            ],
-        }
+        let level = |_, _| Level { mean_px: 0.0, variance_px2: None, scatter: 1.0 };
+        Self { levels: ByBand::new(rig, level) }
     }
 
     /// By how many standard deviations a width differs from the usual one, where the tube's half width is `half_px`.
     pub(crate) fn unusual_sd(&self, marker: usize, view: usize, width: &Width, half_px: f64) -> f64 {
-        let level = self.levels.get(marker).and_then(|views| views.get(view));
+        let level = self.levels.get(marker, view);
         let departure = level.and_then(|level| level.departure(width, half_px));
         departure.zip(level).map_or(0.0, |((off, sd), level)| off.abs() / (sd * level.scatter.sqrt()))
     }
 
     /// Adds the width of an accepted fit.
     pub(crate) fn add(&mut self, marker: usize, view: usize, width: &Width, half_px: f64) {
-        let Some(level) = self.levels.get_mut(marker).and_then(|views| views.get_mut(view)) else { return };
+        let Some(level) = self.levels.get_mut(marker, view) else { return };
         let Some((off, sd)) = level.departure(width, half_px) else { return };
         let own = width.sd_px.powi(2);
         let before = sd * sd - own;

@@ -8,6 +8,7 @@ use catoptra::tally::Tally;
 use mcap::{Compression, WriteOptions, Writer};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use tempfile::TempDir;
 
 const FRAMES: u64 = 300;
 
@@ -35,6 +36,14 @@ fn run(folder: &Path) -> PathBuf {
     path
 }
 
+/// The same in a folder of its own, with its bytes, and read back.
+fn written() -> (TempDir, PathBuf, Vec<u8>, Recording) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = run(folder.path());
+    let (bytes, whole) = (std::fs::read(&path).unwrap(), Recording::read(&path).unwrap());
+    (folder, path, bytes, whole)
+}
+
 /// The frames and currents of `part` are among those of `all`, as they were.
 fn is_part_of(part: &Recording, all: &Recording) -> bool {
     part.frames.iter().all(|frame| all.frames.contains(frame)) && part.currents.iter().all(|c| all.currents.contains(c))
@@ -42,10 +51,7 @@ fn is_part_of(part: &Recording, all: &Recording) -> bool {
 
 #[test]
 fn every_changed_bit_is_noticed_and_none_changes_a_number() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = run(folder.path());
-    let bytes = std::fs::read(&path).unwrap();
-    let whole = Recording::read(&path).unwrap();
+    let (_folder, path, bytes, whole) = written();
     assert!(
         whole.cut.is_none() && whole.frames.len() as u64 == FRAMES && Info::read(&path).unwrap().condition.is_whole()
     );
@@ -75,10 +81,7 @@ fn every_changed_bit_is_noticed_and_none_changes_a_number() {
 
 #[test]
 fn what_lies_behind_a_hole_is_saved() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = run(folder.path());
-    let bytes = std::fs::read(&path).unwrap();
-    let whole = Recording::read(&path).unwrap();
+    let (folder, path, bytes, whole) = written();
     let messages = Info::read(&path).unwrap().topics.iter().map(|topic| topic.messages).sum::<u64>();
     for (kept, part) in (1..).zip([0.02, 0.3, 0.55, 0.8]) {
         let hole = (bytes.len() as f64 * part) as usize;
@@ -106,10 +109,7 @@ fn what_lies_behind_a_hole_is_saved() {
 /// Names and schemas of all topics are in the first chunk, and once more at the end.
 #[test]
 fn a_damaged_first_chunk_costs_its_messages_and_no_others() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = run(folder.path());
-    let bytes = std::fs::read(&path).unwrap();
-    let whole = Recording::read(&path).unwrap();
+    let (folder, path, bytes, whole) = written();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let chunks = summary.chunk_indexes.len();
     assert!(chunks > 3, "{chunks} chunks");

@@ -32,6 +32,7 @@ mod calibrate_sets;
 mod catheter;
 mod changed_pictures;
 mod collect;
+mod diameter;
 mod drift;
 mod excite;
 mod first_run;

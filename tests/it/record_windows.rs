@@ -86,6 +86,22 @@ fn a_picture_that_lacks_what_the_tracker_wants_is_a_miss_and_never_made_up() {
     assert!(not_recorded(&seen[2]), "{:?}", seen[2].markers);
 }
 
+/// The tracker then looks further around than what was recorded.
+#[test]
+fn right_after_pictures_that_were_not_recorded_bands_are_found_in_what_was() {
+    let mut source = recording("planar.mkv", 400_000_000);
+    let (mut with_all, mut with_parts) = (tracker(), tracker());
+    while let Some(frame) = source.next_frame().unwrap() {
+        with_all.step(&frame).unwrap();
+        let lacks = (5..13).contains(&frame.seq);
+        let there = if lacks { Vec::new() } else { frame.picture.windows_read(0) };
+        let picture = with_rubbish_outside(&frame.picture, &there, 3);
+        let seq = frame.seq;
+        let found = with_parts.step(&Frame { picture, ..frame }).unwrap();
+        assert!(found.markers.iter().all(|marker| marker.position.is_err() == lacks), "{seq}: {:?}", found.markers);
+    }
+}
+
 /// Four parts that make up the picture.
 fn tracker_windows(frame: &Frame) -> Vec<Window> {
     let [w, h] = frame.picture.size_px();

@@ -14,7 +14,7 @@ fn info() -> RunInfo {
         source: "swing <1> & \"2\".mkv".into(),
         rig: "calibration/tank/rig.toml".into(),
         settings: vec![("Threads".into(), "2".into())],
-        camera_frame: false,
+        ..RunInfo::default()
     }
 }
 
@@ -85,6 +85,7 @@ fn the_numbers_given_are_on_the_page() {
     assert!(page.contains("<h1>swing &lt;1&gt; &amp; &quot;2&quot;.mkv</h1>"));
     assert!(page.contains("<td>Threads</td><td>2</td>") && page.contains(env!("CARGO_PKG_VERSION")));
     assert!(page.contains("52 of 57 frames are answered completely; the camera lost 3 frames more in 1 gap."));
+    assert!(page.contains("frames that the camera never delivered"));
     assert!(page.contains("60.00 frames per second with those lost counted"));
     // Misses by reason, gaps.
     let cell = |words: [&str; 2], n: u32, share: &str| {
@@ -97,9 +98,9 @@ fn the_numbers_given_are_on_the_page() {
     assert!(page.contains("<td class=\"text\">coil</td><td>53</td><td>93.0 %</td><td>0.0400 mm</td>"));
     assert!(page.contains("<td class=\"text\">θ</td><td>53</td><td>93.0 %</td><td>0.2292°</td>"));
     // Residual (0.03, −0.04) px: RMS of a coordinate 0.0354, mean as given; separation 0.9.
-    assert!(
-        page.contains("<td>57</td><td>100.0 %</td><td>0.035</td><td>+0.030, −0.040</td><td>0.90</td><td>0.90</td>")
-    );
+    assert!(page.contains(
+        "<td>57</td><td>100.0 %</td><td>0.035</td><td>+0.030, −0.040</td><td>0.90</td><td>0.90</td><td>1.02</td>"
+    ));
     // The data of a plot: θ of frame 10 (40° at 0.8 Hz) at its time.
     let theta = 40.0 * (std::f64::consts::TAU * 0.8 * stamp(10) as f64 * 1e-9).sin();
     let json = plot_json(&page, "plot-theta");
@@ -109,6 +110,20 @@ fn the_numbers_given_are_on_the_page() {
     assert!(plot_json(&page, "plot-paths").contains("101.0"));
     // The gap is drawn from the last frame before to the first after.
     assert!(plot_json(&page, "plot-misses").contains("[0.316667,0.383333,null]"));
+}
+
+#[test]
+fn of_what_a_log_lacks_the_camera_need_not_have_lost_all() {
+    let rig = synthetic::rig();
+    let of_log = RunInfo { of_log: true, ..info() };
+    let estimates = (0..9).map(|k| Estimate { gap: 3 * u32::from(k == 4), ..synthetic::swing(&rig, k, stamp(k)) });
+    let page = page(&rig, of_log, estimates);
+    let words = "All 9 frames are answered; 3 frames are missing in 1 gap: lost by the camera, or not in the log.";
+    assert!(page.contains(words), "{}", &page[page.find("verdict").unwrap()..][..300]);
+    assert!(plot_json(&page, "plot-misses").contains("3 missing"));
+    for word in ["camera lost", "Lost by the camera", "never delivered", "3 lost"] {
+        assert!(!page.contains(word), "{word}");
+    }
 }
 
 #[test]

@@ -256,7 +256,10 @@ fn a_run_is_looked_through_and_frames_are_vetoed() {
     // Frame 5 of a recording that was tracked into this folder before.
     let vetoes = folder.path().join("run/vetoes.csv");
     std::fs::write(&vetoes, written + "5,-1,vetoed,a hand,2026-01-01T00:00:00Z\r\n").unwrap();
-    assert_eq!(studio.json("run", &json!({ "run": "run" }))["vetoes"], json!({ "3": "bubble" }));
+    let run = studio.json("run", &json!({ "run": "run" }));
+    assert_eq!(run["vetoes"], json!({ "3": "bubble" }));
+    let said = run["vetoes_of_none"].as_str().unwrap();
+    assert!(said.contains("1 frame is vetoed that this run does not have (stamp_ns -1)"), "{said}");
     assert_eq!(veto(4, true, "glare").json()["vetoes"], json!({ "3": "bubble", "4": "glare" }));
 
     // Without its log a run is a table; without its recording it has no pictures.

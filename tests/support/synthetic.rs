@@ -168,6 +168,7 @@ fn band(view: &View, point: Point3<f64>, tangent: Vector3<f64>, length_m: f64) -
         residual_px: Vector2::from(RESIDUAL_PX),
         fit_rms: 2.5,
         separation: 0.9,
+        width: 1.02,
         outline_px: vec![ends[0] + side, ends[1] + side, ends[1] - side, ends[0] - side],
     }
 }

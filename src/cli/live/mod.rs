@@ -318,6 +318,7 @@ impl Args {
             rig: self.rig.display().to_string(),
             settings: camera.chain(provenance::of_this_run()).collect(),
             camera_frame: self.frame == Reference::Camera,
+            of_log: false,
         }
     }
 }

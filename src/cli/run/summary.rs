@@ -8,7 +8,7 @@ use crate::rig::Rig;
 use crate::sink::plain_words;
 use crate::source::times::seconds;
 use crate::tally::budget::together;
-use crate::tally::{AlarmInWords, Tally, TickTally};
+use crate::tally::{AlarmInWords, MISSING_OF_LOG, Tally, TickTally};
 use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
@@ -112,7 +112,7 @@ fn received(tally: &Tally, of_log: bool) -> String {
     let lost = match (tally.lost, tally.gaps) {
         (0, _) => "the camera lost none between them".to_owned(),
         (lost, gaps) if of_log => {
-            format!("{lost} are missing between them in {}: lost by the camera, or not in the log", plural(gaps, "gap"))
+            format!("{lost} are missing between them in {}: {MISSING_OF_LOG}", plural(gaps, "gap"))
         }
         (lost, 1) => format!("the camera lost {lost} between them in 1 gap"),
         (lost, gaps) => format!("the camera lost {lost} between them in {gaps} gaps"),

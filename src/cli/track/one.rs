@@ -158,6 +158,7 @@ impl Request<'_> {
             rig: self.rig.file.display().to_string(),
             settings: settings.into_iter().flatten().chain(self.command.clone()).collect(),
             camera_frame: options.frame().word() == "camera",
+            of_log: is_log(self.source),
         }
     }
 

@@ -332,6 +332,7 @@ export class Review {
     const rows = Object.entries(this.vetoes);
     fill(
       this.list,
+      this.run.vetoes_of_none ? el("p", { class: "bad" }, this.run.vetoes_of_none) : null,
       ...(rows.length
         ? [
             el(

@@ -1,0 +1,32 @@
+//! One value for each band in each view.
+
+use crate::rig::Rig;
+
+/// By marker and view, in the rig's order.
+#[derive(Debug)]
+pub(crate) struct ByBand<T>(Vec<Vec<T>>);
+
+impl<T> ByBand<T> {
+    /// Of a marker and a view each.
+    pub(crate) fn new(rig: &Rig, value: impl Fn(usize, usize) -> T) -> Self {
+        let of_marker = |m: usize| (0..rig.views.len()).map(|v| value(m, v)).collect();
+        Self((0..rig.markers.len()).map(of_marker).collect())
+    }
+
+    pub(crate) fn get(&self, marker: usize, view: usize) -> Option<&T> {
+        self.0.get(marker)?.get(view)
+    }
+
+    pub(crate) fn get_mut(&mut self, marker: usize, view: usize) -> Option<&mut T> {
+        self.0.get_mut(marker)?.get_mut(view)
+    }
+
+    /// Those of a marker in all views.
+    pub(crate) fn of_marker(&self, marker: usize) -> Option<&[T]> {
+        self.0.get(marker).map(Vec::as_slice)
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
+        self.0.iter().flatten()
+    }
+}
