@@ -109,9 +109,12 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     } else if let Err(why) = &done.refined {
         diagnostics.push(Diagnostic::NotRefined { why: why.clone() });
     }
-    if let (Some(model), false) = (done.model(Role::Refined), done.other_delays.is_empty()) {
-        let (title, nk, others) = (model.title.clone(), model.model.nk, done.other_delays.clone());
-        diagnostics.push(Diagnostic::OtherDelays { title, nk, others });
+    let by_periods = done.periodic.as_ref().map_or(&[][..], |found| &found.other_delays);
+    for (role, others) in [(Role::Refined, &done.other_delays[..]), (Role::Periodic, by_periods)] {
+        if let Some(model) = done.model(role).filter(|_| !others.is_empty()) {
+            let (title, nk, others) = (model.title.clone(), model.model.nk, others.to_vec());
+            diagnostics.push(Diagnostic::OtherDelays { title, nk, others });
+        }
     }
     diagnostics.extend(of_periods(done));
     let refined = done.refined.as_ref().ok().map(|r| (Role::Refined, r));

@@ -39,6 +39,7 @@ pub(crate) mod estimated;
 pub(crate) mod instrumental;
 pub(crate) mod output_error;
 pub(crate) mod search;
+mod shortest;
 mod subspace;
 pub(crate) mod zero;
 
