@@ -4,10 +4,12 @@ use super::continuous::Conversion;
 use super::data::{Data, Record};
 use super::diagnostic::Diagnostic;
 use super::fit::{InitialState, Kind, best_gain};
+use super::frozen::frozen;
 use super::identification::{Fit, Identification};
 use super::jump::jump;
 use super::model::{Orders, angle};
 use super::modelled::Role;
+use super::nonlinear::nonlinear;
 use super::outliers;
 use super::residuals::{Residuals, too_many};
 use super::spectrum::Spectrum;
@@ -216,7 +218,18 @@ fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
         let jump = stable().find_map(|model| jump(&model.model, record, data.period_s))?;
         Some(Diagnostic::Jumps { record: record.name.clone(), jump })
     };
-    data.training.iter().flat_map(|record| [outlying(record), at_limit(record), jumps(record)]).flatten().collect()
+    let frozen = |record: &Record| {
+        let frozen = frozen(&model?.model, record, data.period_s)?;
+        Some(Diagnostic::Frozen { record: record.name.clone(), frozen })
+    };
+    let not_linear = |record: &Record| {
+        let found = nonlinear(&model?.model, record)?;
+        Some(Diagnostic::Nonlinear { record: record.name.clone(), found })
+    };
+    // An input that was not recorded looks like anything.
+    let of_input = |record: &Record| frozen(record).or_else(|| not_linear(record));
+    let all = |record| [outlying(record), at_limit(record), jumps(record), of_input(record)];
+    data.training.iter().flat_map(all).flatten().collect()
 }
 
 /// Whether the records differ in their gain.
