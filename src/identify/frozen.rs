@@ -75,3 +75,48 @@ pub(super) fn frozen(model: &Polynomials, record: &Record, period_s: f64) -> Opt
         ratio: ratio.sqrt(),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::data::Segment;
+    use super::super::tests::noise;
+    use super::*;
+    use std::f64::consts::TAU;
+
+    /// A slow wave in steps of `step`, which is recorded as `recorded` says.
+    fn found(step: f64, recorded: impl Fn(usize, f64) -> f64) -> Option<Frozen> {
+        let model = Polynomials { a: vec![1.0, -0.9], b: vec![0.1], nk: 1 };
+        let wave = |t: usize| (TAU * 0.004 * t as f64).sin() + 0.3 * (TAU * 0.05 * t as f64).sin();
+        let input: Vec<f64> =
+            (0..3000).map(|t| if step > 0.0 { (wave(t) / step).round() * step } else { wave(t) }).collect();
+        let noisy = model.simulate(&input).into_iter().zip(noise(1, 3000)).map(|(y, e)| y + 0.02 * e);
+        let output = noisy.collect();
+        let input = input.iter().enumerate().map(|(t, u)| recorded(t, *u)).collect();
+        let segment = Segment { input, output, from_rest: true, start_s: 1.0, ..Segment::default() };
+        frozen(&model, &Record { name: "r".to_owned(), segments: vec![segment] }, 0.01)
+    }
+
+    #[test]
+    fn an_input_that_hung_is_told_where_it_did() {
+        let hung = found(0.0, |t, u| if (1000..1100).contains(&t) { 0.7 } else { u }).unwrap();
+        assert!((hung.from_s - 11.0).abs() < 1e-9 && hung.samples == 100 && hung.value == 0.7, "{hung:?}");
+        assert!(hung.ratio > 5.0, "{hung:?}");
+        assert!(found(0.02, |t, u| if (1000..1100).contains(&t) { 0.0 } else { u }).is_some());
+    }
+
+    #[test]
+    fn held_and_coarse_inputs_and_rest_are_none() {
+        assert_eq!(found(0.0, |_, u| u), None);
+        assert_eq!(found(0.5, |_, u| u), None);
+        let model = Polynomials { a: vec![1.0, -0.9], b: vec![0.1], nk: 1 };
+        // At rest for long, then levels.
+        for rest in [0, 500] {
+            let levels = noise(3, 100);
+            let input: Vec<f64> = (0..3000).map(|t| if t < rest { 0.0 } else { levels[t / 30] }).collect();
+            let output = model.simulate(&input).into_iter().zip(noise(2, 3000)).map(|(y, e)| y + 0.02 * e).collect();
+            let segment = Segment { input, output, from_rest: true, ..Segment::default() };
+            let record = Record { name: "r".to_owned(), segments: vec![segment] };
+            assert_eq!(frozen(&model, &record, 0.01), None, "{rest}");
+        }
+    }
+}

@@ -6,8 +6,8 @@
 //! of the input beyond half of its largest value, the direction in which it last changed, and both of the simulated
 //! output. If the system is linear each has a coefficient of zero, and its ratio to σ is normal.
 //!
-//! Cannot tell: an input of two levels, whose amplitude is always the same; a single sine, for which any response is a
-//! linear one at its frequency but for the harmonics.
+//! Cannot tell: which of input and output it is about, where one follows the other; what little noise hides in a record
+//! that is sampled much faster than it moves; an input of two levels, whose amplitude is always the same.
 
 use super::colour::Colour;
 use super::data::{Record, Segment};
@@ -24,7 +24,7 @@ const SIGNIFICANT_SD: f64 = 5.0;
 const LEAST_CHANGE: f64 = 0.05;
 const LEAST_WIDTH: f64 = 0.01;
 /// Of a test signal, the part that the linear model cannot make, below which nothing can be told.
-const LEAST_OWN: f64 = 1e-4;
+const LEAST_OWN: f64 = 1e-7;
 /// Where a large amplitude begins, as a part of the largest.
 const LARGE: f64 = 0.5;
 
@@ -192,5 +192,79 @@ impl<'a> Long<'a> {
         let factor = Colour::of(&left).factor(&columns, &DMatrix::from_element(1, 1, square.sqrt().recip()));
         let sigmas = coefficient / (sd * factor.norm());
         sigmas.is_finite().then_some((coefficient, sigmas))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::random::Random;
+    use std::f64::consts::TAU;
+
+    const SAMPLES: usize = 3000;
+
+    fn model() -> Polynomials {
+        Polynomials { a: vec![1.0, -1.6, 0.68], b: vec![0.05, 0.03], nk: 1 }
+    }
+
+    fn chirp() -> Vec<f64> {
+        let at = |t: f64| (TAU * (0.2 * t + 4.0 * t * t / 50.0)).sin();
+        (0..SAMPLES).map(|k| at(k as f64 / 60.0)).collect()
+    }
+
+    /// Levels that are held for `hold` samples.
+    fn levels(hold: usize, seed: u64, level: impl Fn(f64) -> f64) -> Vec<f64> {
+        let mut random = Random::new(seed);
+        let levels: Vec<f64> = (0..SAMPLES / hold).map(|_| level(2.0 * random.uniform() - 1.0)).collect();
+        levels.into_iter().flat_map(|level| vec![level; hold]).collect()
+    }
+
+    /// What a record says whose input was `input`, while `real` acted.
+    fn found(input: Vec<f64>, real: impl Fn(&[f64]) -> Vec<f64>, noise: f64, seed: u64) -> Option<Nonlinear> {
+        let mut random = Random::new(seed);
+        let clean = model().simulate(&real(&input));
+        let output = clean.iter().enumerate().map(|(k, y)| {
+            let noisy = y + noise * random.normal();
+            if k % 97 == 50 { f64::NAN } else { noisy }
+        });
+        let segment = Segment { output: output.collect(), input, from_rest: true, ..Segment::default() };
+        nonlinear(&model(), &Record { name: "r".to_owned(), segments: vec![segment] })
+    }
+
+    #[test]
+    fn of_linear_records_nothing_is_told() {
+        for seed in 1..=6 {
+            let coarse = chirp().iter().map(|u| (u * 16.0).round() / 16.0).collect();
+            let inputs =
+                [chirp(), coarse, levels(30, seed, |u| u), levels(5, seed, f64::signum), levels(1, seed, |u| u)];
+            for (k, input) in inputs.into_iter().enumerate() {
+                let noise = [0.002, 0.02, 0.1][seed as usize % 3];
+                assert_eq!(found(input, <[f64]>::to_vec, noise, seed), None, "input {k}, seed {seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn saturation_a_dead_zone_and_backlash_are_told_with_their_size() {
+        let each = |of: fn(f64) -> f64| move |u: &[f64]| u.iter().map(|v| of(*v)).collect::<Vec<f64>>();
+        let backlash = |u: &[f64]| {
+            let mut at = 0.0;
+            let mut follow = |v: &f64| {
+                at = f64::clamp(at, v - 0.05, v + 0.05);
+                at
+            };
+            u.iter().map(&mut follow).collect::<Vec<f64>>()
+        };
+        for seed in 1..=3 {
+            for input in [chirp(), levels(6, seed, |u| u)] {
+                let clipped = found(input.clone(), each(|u| u.clamp(-0.8, 0.8)), 0.02, seed).unwrap();
+                assert!(matches!(clipped.element, Element::Gain(change) if change < -0.1), "{clipped:?}");
+                let dead = found(input.clone(), each(|u| u - u.clamp(-0.2, 0.2)), 0.02, seed).unwrap();
+                assert!(matches!(dead.element, Element::Gain(change) if change > 0.1), "{dead:?}");
+            }
+            // 0.1 of a range of 2, less what a linear model makes of it.
+            let late = found(chirp(), backlash, 0.005, seed).unwrap();
+            assert!(matches!(late.element, Element::Width(width) if (0.01..0.06).contains(&width)), "{late:?}");
+        }
     }
 }
