@@ -84,7 +84,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     let rate_hz = 1.0 / data.period_s;
     match &done.spectrum {
         Some(spectrum) => {
-            let output_hz = spectrum.output_ends_hz().max(spectrum.resolution_hz);
+            let output_hz = spectrum.output_ends_hz;
             let factor = (rate_hz / (OVERSAMPLED * output_hz)).floor() as usize;
             if factor >= 2 {
                 diagnostics.push(Diagnostic::Oversampled { output_hz, rate_hz, factor });
