@@ -51,16 +51,14 @@ pub struct Nonlinear {
 /// The most significant of the four, if any is. `model` is a stable one of the record.
 pub(super) fn nonlinear(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
     let long = Long::of(record, model.nk)?;
+    let Polynomials { a, b, nk } = &long.model;
     let input: Vec<Vec<f64>> = record.segments.iter().map(|s| s.input.clone()).collect();
     let output: Vec<Vec<f64>> = input.iter().map(|u| model.simulate(u)).collect();
-    // What is on the output acts on the residual through A. What is on the input passes the system before; its long
-    // model is not known at frequencies that the input lacks, and an edge has.
-    let whitening = Polynomials { a: vec![1.0], b: long.model.a.clone(), nk: 0 };
-    let through = |is_input: bool, s: &[f64]| {
-        if is_input { whitening.simulate(&model.simulate(s)) } else { whitening.simulate(s) }
-    };
-    let both = [("input", &input, true), ("output", &output, false)];
-    let tests = both.iter().flat_map(|(of, signal, is_input)| {
+    // An element before the system acts through B, one behind it through A.
+    let before = Polynomials { a: vec![1.0], b: b.clone(), nk: *nk };
+    let behind = Polynomials { a: vec![1.0], b: a.clone(), nk: 0 };
+    let both = [("input", &input, before), ("output", &output, behind)];
+    let tests = both.iter().flat_map(|(of, signal, through)| {
         let range = Range::of(signal);
         let beyond = |v: &f64| {
             let from_middle = v - range.middle;
@@ -68,7 +66,7 @@ pub(super) fn nonlinear(model: &Polynomials, record: &Record) -> Option<Nonlinea
         };
         let amplitude: Vec<Vec<f64>> = signal.iter().map(|s| s.iter().map(beyond).collect()).collect();
         let direction: Vec<Vec<f64>> = signal.iter().map(|s| directions(s)).collect();
-        let acting = |signal: Vec<Vec<f64>>| signal.iter().map(|s| through(*is_input, s)).collect::<Vec<_>>();
+        let acting = |signal: Vec<Vec<f64>>| signal.iter().map(|s| through.simulate(s)).collect::<Vec<_>>();
         let gain = long.coefficient(&acting(amplitude)).map(|(g, sigmas)| (Element::Gain(g), sigmas));
         let width = |g: f64| Element::Width(2.0 * g.abs() / range.width);
         let width = long.coefficient(&acting(direction)).map(|(g, sigmas)| (width(g), sigmas));
