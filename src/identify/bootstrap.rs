@@ -7,15 +7,14 @@
 use super::colour::Colour;
 use super::data::Segment;
 use super::model::{Noise, Polynomials, all_pole};
-use super::uncertainty::Covariance;
 use fastrand::Rng;
 
 /// Samples per block at least, and for each that are correlated; as a part of all at most.
 const BLOCK: usize = 32;
 const BLOCK_PER_CORRELATED: f64 = 4.0;
 const LONGEST_BLOCK: usize = 8;
-/// Least number of repetitions for an interval.
-const MIN_REPETITIONS: usize = 20;
+/// Least number of repetitions for an interval: one more value is beyond the ends of 39 in 5 % of cases.
+const MIN_REPETITIONS: usize = 39;
 const SEED: u64 = 0x00CA_7097;
 
 /// Estimates `of` from `count` repetitions of the experiment. Repetitions for which `of` fails are left out.
@@ -41,15 +40,6 @@ pub(crate) fn repeat<T: Send>(
         of(&drawn)
     };
     (0..count).into_par_iter().filter_map(repetition).collect()
-}
-
-/// Models drawn around `model` from its covariance, where that is known without the data's noise.
-pub(crate) fn drawn(model: &Polynomials, covariance: &Covariance, count: usize) -> Vec<Polynomials> {
-    let mut rng = Rng::with_seed(SEED);
-    // Normal numbers by Box and Muller; 1 − u is never 0.
-    let mut normal = || (-2.0 * (1.0 - rng.f64()).ln()).sqrt() * (std::f64::consts::TAU * rng.f64()).cos();
-    let parameters = model.parameters();
-    (0..count).map(|_| model.with_parameters(covariance.drawn(&parameters, &mut normal).as_slice())).collect()
 }
 
 /// The model's noise-free output, and the noise.
@@ -106,14 +96,15 @@ fn from_output(model: &Polynomials, output: &[f64]) -> Vec<f64> {
     Polynomials { a: vec![1.0], b: model.a.clone(), nk: 0 }.simulate(output)
 }
 
-/// The interval that contains the central 95 % of the values; `None` for too few.
+/// The interval that contains one more such value with a probability of 95 %: of N, the ones at 0.025 (N + 1) and
+/// 0.975 (N + 1) by size. `None` for too few.
 pub(crate) fn middle_95(mut values: Vec<f64>) -> Option<(f64, f64)> {
     if values.len() < MIN_REPETITIONS {
         return None;
     }
     values.sort_by(f64::total_cmp);
     let at = |part: f64| {
-        let place = part * (values.len() - 1) as f64;
+        let place = (part * (values.len() + 1) as f64 - 1.0).clamp(0.0, (values.len() - 1) as f64);
         let (low, rest) = (place.floor() as usize, place.fract());
         let high = (low + 1).min(values.len() - 1);
         values[low] + rest * (values[high] - values[low])
@@ -148,7 +139,20 @@ mod tests {
         let (low, high) = middle_95(draws.iter().map(|d| d[0]).collect()).unwrap();
         let sd = found.standard_errors()[0];
         assert!(((high - low) / (3.92 * sd) - 1.0).abs() < 0.25);
-        assert_eq!(middle_95(vec![1.0; 19]), None);
+    }
+
+    /// One more of them is outside of an interval of 100 in 5 % of cases, not in the 7 % beyond the quantiles of the 100.
+    #[test]
+    fn an_interval_of_few_values_contains_the_next_one() {
+        let mut random = crate::testing::random::Random::new(1);
+        let mut outside = 0;
+        for _ in 0..10_000 {
+            let (low, high) = middle_95(random.normals(100)).unwrap();
+            outside += usize::from(!(low..=high).contains(&random.normal()));
+        }
+        assert!((440..560).contains(&outside), "{outside}");
+        assert_eq!(middle_95(vec![1.0; 38]), None);
+        assert_eq!(middle_95((0..39).map(f64::from).collect()), Some((0.0, 38.0)));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! From signals to models: the whole chain, with its steps in order.
 
-use super::bootstrap::{drawn, middle_95, repeat};
+use super::bootstrap::{middle_95, repeat};
 use super::data::{Data, Record, Segment};
 use super::diagnostics::diagnostics;
 use super::estimated::{Estimated, Refined};
@@ -15,13 +15,10 @@ use super::reduce::{Reduced, Reduction, Target, reduce, reduce_in_band};
 use super::residuals::Residuals;
 use super::search::{Candidate, Criterion, best, search};
 use super::settings::{Choice, Estimator, Settings};
+use super::shortest::{Delayed, as_well, shortest};
 use super::spectrum::spectrum;
 use super::uncertainty::Covariance;
 use super::{IdentifyError, arx, instrumental, output_error};
-
-/// Twice the difference of log-likelihoods of models with different delays that noise explains: for one parameter more
-/// it is beyond in one record of a thousand.
-const BY_NOISE: f64 = 10.83;
 
 /// Identifies.
 ///
@@ -202,6 +199,16 @@ fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Op
     full.covariance.propagate(full.model.parameters().as_slice(), parameters)
 }
 
+impl Delayed for Refined {
+    fn nk(&self) -> usize {
+        self.estimated.model.nk
+    }
+
+    fn deviance(&self) -> f64 {
+        self.estimated.samples as f64 * self.estimated.noise_variance.ln()
+    }
+}
+
 /// Output error of the reduced model's orders, and other delays with which it explains the data about as well. The
 /// reduction for the excited band is often closer to the data than the requested one. The full model's delay need not
 /// be that of a model with fewer coefficients: those next to one that explains the data are tried. Of those that do
@@ -220,39 +227,20 @@ fn refine_reduced(
     let first = output_error::refine_from_any(training, &initial)?;
     let mut tried = vec![first.estimated.model.nk];
     let mut found = vec![first];
-    let as_well = |found: &[Refined]| -> Vec<Refined> {
-        let least = found.iter().map(|refined| refined.estimated.noise_variance).fold(f64::INFINITY, f64::min);
-        let is_near = |refined: &&Refined| {
-            let Estimated { noise_variance, samples, .. } = refined.estimated;
-            // Twice the difference of the log-likelihoods.
-            samples as f64 * (noise_variance / least).ln() <= BY_NOISE
-        };
-        found.iter().filter(is_near).cloned().collect()
-    };
     loop {
-        let near = as_well(&found);
-        let next = near.iter().find_map(|refined| {
+        let next = as_well(&found).find_map(|refined| {
             let here = &refined.estimated.model;
             let nk = delays.iter().find(|nk| nk.abs_diff(here.nk) == 1 && !tried.contains(nk))?;
             Some(Polynomials { nk: *nk, ..here.clone() })
         });
         let Some(delayed) = next else {
-            let (shortest, others) = split_shortest(near).ok_or(IdentifyError::NoneDetermined)?;
-            return Ok((shortest, others));
+            return shortest(&found).ok_or(IdentifyError::NoneDetermined);
         };
         tried.push(delayed.nk);
         let mut initial = initial_models(training, delayed.orders());
         initial.push(delayed);
         found.extend(output_error::refine_from_any(training, &initial).ok());
     }
-}
-
-/// That with the shortest delay, and the delays of the others, rising.
-fn split_shortest(mut found: Vec<Refined>) -> Option<(Refined, Vec<usize>)> {
-    found.sort_by_key(|refined| refined.estimated.model.nk);
-    let mut found = found.into_iter();
-    let shortest = found.next()?;
-    Some((shortest, found.map(|refined| refined.estimated.model.nk).collect()))
 }
 
 /// The delays that may be chosen, rising.
@@ -380,20 +368,16 @@ fn intervals(
             Some(of(Role::Refined, &again))
         });
     }
-    let mut periodic_draws = Vec::new();
-    if let Some(found) = models.iter().find(|m| m.role == Role::Periodic)
-        && let Some(covariance) = &found.covariance
-    {
-        let again = drawn(&found.model, covariance, settings.bootstrap);
-        periodic_draws = again.iter().filter(|m| m.is_stable()).map(|m| of(Role::Periodic, m)).collect();
-    }
     for model in models {
+        if model.role == Role::Periodic {
+            model.intervals_by_covariance(period_s, excited_hz);
+            continue;
+        }
         let draws: Vec<&Vec<Option<f64>>> = match model.role {
             Role::Full => full_draws.iter().map(|(full, _)| full).collect(),
             Role::Reduced => full_draws.iter().filter_map(|(_, reduced)| reduced.as_ref()).collect(),
             Role::Refined => refined_draws.iter().collect(),
-            Role::Periodic => periodic_draws.iter().collect(),
-            Role::Given => Vec::new(),
+            Role::Periodic | Role::Given => Vec::new(),
         };
         // The scatter of a biased estimate does not tell its error.
         if biased && matches!(model.role, Role::Full | Role::Reduced) {

@@ -122,6 +122,20 @@ pub struct Data {
     pub validation: Vec<Record>,
 }
 
+/// Holes of up to `most` samples filled by a line between their neighbours.
+pub(super) fn bridged(signal: &[f64], most: usize) -> Vec<f64> {
+    let mut filled = signal.to_vec();
+    let known: Vec<usize> = (0..signal.len()).filter(|k| !signal[*k].is_nan()).collect();
+    for pair in known.windows(2) {
+        let (from, to) = (pair[0], pair[1]);
+        if to - from > 1 && to - from - 1 <= most {
+            let slope = (signal[to] - signal[from]) / (to - from) as f64;
+            (from + 1..to).for_each(|k| filled[k] = signal[from] + slope * (k - from) as f64);
+        }
+    }
+    filled
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,7 +1,9 @@
 //! Reasons why a result is less reliable than it looks, in words.
 
+use super::frozen::Frozen;
 use super::jump::Jump;
 use super::model::Orders;
+use super::nonlinear::{Element, Nonlinear};
 use super::outliers::Outliers;
 use std::fmt;
 
@@ -89,6 +91,20 @@ pub enum Diagnostic {
         record: String,
         /// Where, and by how much.
         jump: Jump,
+    },
+    /// An input that was recorded as one value while the output moved.
+    Frozen {
+        /// The record.
+        record: String,
+        /// Where, and how long.
+        frozen: Frozen,
+    },
+    /// A system that is not linear.
+    Nonlinear {
+        /// The record.
+        record: String,
+        /// What is not.
+        found: Nonlinear,
     },
     /// An output that stays at its limit.
     AtLimit {
@@ -287,6 +303,35 @@ impl fmt::Display for Diagnostic {
                  model: did the camera, the mirror or the base move, or does the output drift? The constant term is \
                  wrong by a part of it"
             ),
+            Self::Frozen { record, frozen: Frozen { from_s, samples, value, ratio } } => write!(
+                f,
+                "{record}: the input is {value:.6} for {samples} samples from {from_s:.3} s on, far longer than usual, \
+                 and the error of the model is {ratio:.1} times as large meanwhile: did its sensor or the logging hang? \
+                 Leave this part out"
+            ),
+            Self::Nonlinear { record, found: Nonlinear { of, element, sigmas } } => {
+                let sigmas = sigmas.abs();
+                match element {
+                    Element::Gain(change) => write!(
+                        f,
+                        "{record}: beyond half of the largest {of} the gain is {:.0} % {} than below it ({sigmas:.0} \
+                         σ): {} A linear model holds for one amplitude",
+                        100.0 * change.abs(),
+                        if *change < 0.0 { "smaller" } else { "larger" },
+                        if *change < 0.0 {
+                            "does the amplifier, or something in the way, limit it?"
+                        } else {
+                            "is there a dead zone, or friction?"
+                        }
+                    ),
+                    Element::Width(width) => write!(
+                        f,
+                        "{record}: what the output does depends on whether the {of} rises or falls, by {:.1} % of its \
+                         range ({sigmas:.0} σ): is there backlash, friction, or hysteresis?",
+                        100.0 * width
+                    ),
+                }
+            }
             Self::AtLimit { record, count, value } => write!(
                 f,
                 "{record}: {count} outputs are exactly {value:.6}, and none is beyond: where a scale ends the model \

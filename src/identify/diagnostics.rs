@@ -4,10 +4,12 @@ use super::continuous::Conversion;
 use super::data::{Data, Record};
 use super::diagnostic::Diagnostic;
 use super::fit::{InitialState, Kind, best_gain};
+use super::frozen::frozen;
 use super::identification::{Fit, Identification};
 use super::jump::jump;
 use super::model::{Orders, angle};
 use super::modelled::Role;
+use super::nonlinear::nonlinear;
 use super::outliers;
 use super::residuals::{Residuals, too_many};
 use super::spectrum::Spectrum;
@@ -82,7 +84,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     let rate_hz = 1.0 / data.period_s;
     match &done.spectrum {
         Some(spectrum) => {
-            let output_hz = spectrum.output_ends_hz().max(spectrum.resolution_hz);
+            let output_hz = spectrum.output_ends_hz;
             let factor = (rate_hz / (OVERSAMPLED * output_hz)).floor() as usize;
             if factor >= 2 {
                 diagnostics.push(Diagnostic::Oversampled { output_hz, rate_hz, factor });
@@ -109,9 +111,12 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     } else if let Err(why) = &done.refined {
         diagnostics.push(Diagnostic::NotRefined { why: why.clone() });
     }
-    if let (Some(model), false) = (done.model(Role::Refined), done.other_delays.is_empty()) {
-        let (title, nk, others) = (model.title.clone(), model.model.nk, done.other_delays.clone());
-        diagnostics.push(Diagnostic::OtherDelays { title, nk, others });
+    let by_periods = done.periodic.as_ref().map_or(&[][..], |found| &found.other_delays);
+    for (role, others) in [(Role::Refined, &done.other_delays[..]), (Role::Periodic, by_periods)] {
+        if let Some(model) = done.model(role).filter(|_| !others.is_empty()) {
+            let (title, nk, others) = (model.title.clone(), model.model.nk, others.to_vec());
+            diagnostics.push(Diagnostic::OtherDelays { title, nk, others });
+        }
     }
     diagnostics.extend(of_periods(done));
     let refined = done.refined.as_ref().ok().map(|r| (Role::Refined, r));
@@ -213,7 +218,18 @@ fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
         let jump = stable().find_map(|model| jump(&model.model, record, data.period_s))?;
         Some(Diagnostic::Jumps { record: record.name.clone(), jump })
     };
-    data.training.iter().flat_map(|record| [outlying(record), at_limit(record), jumps(record)]).flatten().collect()
+    let frozen = |record: &Record| {
+        let frozen = frozen(&model?.model, record, data.period_s)?;
+        Some(Diagnostic::Frozen { record: record.name.clone(), frozen })
+    };
+    let not_linear = |record: &Record| {
+        let found = nonlinear(&model?.model, record)?;
+        Some(Diagnostic::Nonlinear { record: record.name.clone(), found })
+    };
+    // An input that was not recorded looks like anything.
+    let of_input = |record: &Record| frozen(record).or_else(|| not_linear(record));
+    let all = |record| [outlying(record), at_limit(record), jumps(record), of_input(record)];
+    data.training.iter().flat_map(all).flatten().collect()
 }
 
 /// Whether the records differ in their gain.

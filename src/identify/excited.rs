@@ -1,29 +1,43 @@
-//! The band that the input excites: all but 1 % of its energy at either end.
+//! The band that the input excites: all but 1 % of its energy at either end; and where that of the output ends.
 //!
 //! From the periodogram of the whole record, mean removed and without a window, which would hide how a chirp begins and
 //! ends. The energy is summed over frequency and interpolated between its lines, so that the edges do not jump from
 //! line to line with the record's length: a bandwidth may refer to the lower one.
 
-use super::data::Segment;
+use super::data::{Segment, bridged};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 
-/// Fraction of the input's energy outside the excited band at either end.
-pub(super) const BAND_TAIL: f64 = 0.01;
+/// Fraction of a signal's energy outside of its band at either end.
+const BAND_TAIL: f64 = 0.01;
 /// Least zeros after a segment, relative to its samples: lines are then closer than the record resolves.
 const PADDING: usize = 1;
 
 /// Lower and upper edge, Hz; everything up to half the sampling rate for an input that does not change.
 pub(super) fn excited_hz(segments: &[Segment], period_s: f64) -> (f64, f64) {
+    band_hz(segments, |segment| &segment.input, period_s)
+}
+
+/// Frequency below which 99 % of the output's energy lies, Hz. Outputs that are missing are taken from a line between
+/// their neighbours.
+pub(super) fn output_ends_hz(segments: &[Segment], period_s: f64) -> f64 {
+    let bridged = |segment: &Segment| Segment { output: bridged(&segment.output, usize::MAX), ..segment.clone() };
+    let segments: Vec<Segment> = segments.iter().map(bridged).collect();
+    band_hz(&segments, |segment| &segment.output, period_s).1
+}
+
+fn band_hz(segments: &[Segment], signal: fn(&Segment) -> &[f64], period_s: f64) -> (f64, f64) {
     let nyquist_hz = 0.5 / period_s;
-    let samples: usize = segments.iter().map(|segment| segment.input.len()).sum();
-    let mean = segments.iter().flat_map(|segment| &segment.input).sum::<f64>() / samples.max(1) as f64;
-    let longest = segments.iter().map(|segment| segment.input.len()).max().unwrap_or(0);
+    // What is missing at an end is no motion.
+    let known = |segment| signal(segment).iter().copied().filter(|v: &f64| !v.is_nan());
+    let samples: usize = segments.iter().map(|segment| known(segment).count()).sum();
+    let mean = segments.iter().flat_map(known).sum::<f64>() / samples.max(1) as f64;
+    let longest = segments.iter().map(|segment| signal(segment).len()).max().unwrap_or(0);
     let length = ((1 + PADDING) * longest).next_power_of_two();
     let transform = FftPlanner::new().plan_fft_forward(length);
     let mut power = vec![0.0; length / 2 + 1];
     for segment in segments {
-        let mut buffer: Vec<Complex<f64>> = segment.input.iter().map(|v| Complex::new(v - mean, 0.0)).collect();
+        let mut buffer: Vec<Complex<f64>> = known(segment).map(|v| Complex::new(v - mean, 0.0)).collect();
         buffer.resize(length, Complex::new(0.0, 0.0));
         transform.process(&mut buffer);
         power.iter_mut().zip(&buffer).for_each(|(sum, line)| *sum += line.norm_sqr());
@@ -75,6 +89,18 @@ mod tests {
                 let (low, high) = excited_hz(segments, period_s);
                 assert!((low - 0.535).abs() < 0.06 && (high - 3.965).abs() < 0.06, "{seconds} s: {low} to {high}");
             }
+        }
+    }
+
+    /// Also of a record so short, or sampled so fast, that averaged spectra resolve hertz only.
+    #[test]
+    fn a_slow_output_ends_where_it_does_at_any_rate() {
+        for rate in [60, 500, 2000] {
+            let wave = |k: usize| (TAU * 0.8 * k as f64 / f64::from(rate)).sin();
+            let output = (0..10 * rate as usize).map(|k| if k % 40 < 3 { f64::NAN } else { wave(k) }).collect();
+            let segment = Segment { input: vec![0.0; 10 * rate as usize], output, ..Segment::default() };
+            let ends = output_ends_hz(&[segment], 1.0 / f64::from(rate));
+            assert!((0.75..1.5).contains(&ends), "{rate}: {ends}");
         }
     }
 

@@ -39,6 +39,7 @@ pub(crate) mod estimated;
 pub(crate) mod instrumental;
 pub(crate) mod output_error;
 pub(crate) mod search;
+mod shortest;
 mod subspace;
 pub(crate) mod zero;
 
@@ -57,8 +58,10 @@ pub(crate) mod bandwidth;
 pub(crate) mod bootstrap;
 mod excited;
 pub(crate) mod fit;
+mod frozen;
 mod jump;
 pub(crate) mod modelled;
+mod nonlinear;
 mod outliers;
 pub(crate) mod residuals;
 pub(crate) mod spectrum;

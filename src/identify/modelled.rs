@@ -91,12 +91,13 @@ impl BandwidthOf {
     }
 }
 
-/// A bandwidth with an interval that contains 95 % of the bootstrap's.
+/// A bandwidth with its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BandwidthEstimate {
     /// Of the model.
     pub bandwidth: Bandwidth,
-    /// Hz; `None` without a bootstrap, or when it gave too few.
+    /// Hz: of averaged periods by their covariance, otherwise by the bootstrap; `None` without it, when it gave too few, or
+    /// when the interval is open.
     pub interval_hz: Option<(f64, f64)>,
 }
 
@@ -152,6 +153,19 @@ impl Modelled {
     /// Whether simulations remain bounded.
     pub fn is_stable(&self) -> bool {
         self.largest_pole < 1.0
+    }
+
+    /// Gives the bandwidths the intervals that follow from the covariance: for a model whose covariance is that of the
+    /// data's noise.
+    pub(super) fn intervals_by_covariance(&mut self, period_s: f64, excited_hz: (f64, f64)) {
+        let Some(covariance) = &self.covariance else { return };
+        for (k, estimate) in self.bandwidths.iter_mut().enumerate() {
+            let bandwidth = |parameters: &[f64]| {
+                let moved = Some(self.model.with_parameters(parameters)).filter(Polynomials::is_stable)?;
+                bandwidths(self.role, &moved, period_s, excited_hz).get(k)?.frequency_hz
+            };
+            estimate.interval_hz = covariance.interval_95(self.model.parameters().as_slice(), bandwidth);
+        }
     }
 
     /// Standard errors of [`Polynomials::parameters`].

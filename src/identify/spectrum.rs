@@ -6,8 +6,8 @@
 //! pieces (Bendat and Piersol, Random Data, 4th ed., section 9.2). It is meaningless where the input has no power, and
 //! biased where the response changes much within one resolution width.
 
-use super::data::Segment;
-use super::excited::{BAND_TAIL, excited_hz};
+use super::data::{Segment, bridged};
+use super::excited::{excited_hz, output_ends_hz};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 use std::f64::consts::TAU;
@@ -49,6 +49,8 @@ pub struct Spectrum {
     pub pieces: usize,
     /// Where the input has its energy, all but 1 % at either end, Hz.
     pub excited_hz: (f64, f64),
+    /// 99 % of the output's energy lies below, Hz.
+    pub output_ends_hz: f64,
 }
 
 /// Averages the spectra. `None` when no segment is as long as the shortest piece, or there would be only one piece.
@@ -75,7 +77,7 @@ pub(crate) fn spectrum(segments: &[Segment], period_s: f64) -> Option<Spectrum> 
     let mut sums = vec![(0.0, 0.0, Complex::new(0.0, 0.0)); half + 1];
     let mut pieces = 0;
     for segment in segments {
-        let output = bridged(&segment.output);
+        let output = bridged(&segment.output, MAX_BRIDGED);
         let windows = segment.input.windows(length).zip(output.windows(length)).step_by(half);
         for (u, y) in windows.filter(|(_, y)| !y.iter().any(|y| y.is_nan())) {
             let (u, y) = (spectrum_of(u), spectrum_of(y));
@@ -105,20 +107,13 @@ pub(crate) fn spectrum(segments: &[Segment], period_s: f64) -> Option<Spectrum> 
         }
     });
     let points: Vec<Point> = points.collect();
-    Some(Spectrum { excited_hz: excited_hz(segments, period_s), points, resolution_hz, pieces: pieces as usize })
-}
-
-impl Spectrum {
-    /// Frequency below which 99 % of the output's energy lies, Hz.
-    pub fn output_ends_hz(&self) -> f64 {
-        let total: f64 = self.points.iter().map(|p| p.output_power).sum();
-        let mut sum = 0.0;
-        let reached = self.points.iter().find(|p| {
-            sum += p.output_power;
-            sum >= (1.0 - BAND_TAIL) * total
-        });
-        reached.or(self.points.last()).map_or(0.0, |p| p.frequency_hz)
-    }
+    Some(Spectrum {
+        excited_hz: excited_hz(segments, period_s),
+        output_ends_hz: output_ends_hz(segments, period_s),
+        points,
+        resolution_hz,
+        pieces: pieces as usize,
+    })
 }
 
 impl Spectrum {
@@ -127,20 +122,6 @@ impl Spectrum {
         let all: f64 = self.points.iter().map(|p| p.output_power).sum();
         self.points.iter().map(|p| p.coherence * p.output_power).sum::<f64>() / all
     }
-}
-
-/// Short holes filled by a line between their neighbours.
-fn bridged(signal: &[f64]) -> Vec<f64> {
-    let mut filled = signal.to_vec();
-    let known: Vec<usize> = (0..signal.len()).filter(|k| !signal[*k].is_nan()).collect();
-    for pair in known.windows(2) {
-        let (from, to) = (pair[0], pair[1]);
-        if (2..=MAX_BRIDGED + 1).contains(&(to - from)) {
-            let slope = (signal[to] - signal[from]) / (to - from) as f64;
-            (from + 1..to).for_each(|k| filled[k] = signal[from] + slope * (k - from) as f64);
-        }
-    }
-    filled
 }
 
 #[cfg(test)]

@@ -4,10 +4,12 @@
 //! combinations differ by more than eight powers of ten; in the covariance itself the small ones are lost, and with
 //! them the accuracy of the response where the data determine it best.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 /// Step along each direction for numerical derivatives, in standard deviations.
 const STEP: f64 = 0.05;
+/// Standard deviations from the mean within which a normal distribution has 95 %.
+const SD_OF_95: f64 = 1.959_964;
 
 /// The covariance of some numbers.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,11 +34,6 @@ impl Covariance {
         self.factor.row_iter().map(|row| row.norm()).collect()
     }
 
-    /// `about` plus a draw from this covariance; `normal` gives numbers of mean 0 and variance 1.
-    pub(crate) fn drawn(&self, about: &DVector<f64>, mut normal: impl FnMut() -> f64) -> DVector<f64> {
-        about + &self.factor * DVector::from_fn(self.factor.ncols(), |_, _| normal())
-    }
-
     /// Covariance of `of(parameters)`, to first order, if `self` is that of `parameters`. They are moved jointly, along
     /// the columns of the factor: a single coefficient of a high order moved alone would give a completely different
     /// model. `None` when `of` fails, or returns varying numbers of values.
@@ -52,6 +49,20 @@ impl Covariance {
             column.iter_mut().zip(plus.iter().zip(&minus)).for_each(|(c, (p, m))| *c = (p - m) / (2.0 * STEP));
         }
         factor.iter().all(|v| v.is_finite()).then_some(Self { factor })
+    }
+
+    /// The 95 % interval of `of(parameters)`: its values 1.96 σ away on either side, along the direction in which it
+    /// changes most. That follows its curvature, as a profile of the likelihood does (Pawitan, In All Likelihood,
+    /// section 3.4), to the accuracy of the direction. `None` when `of` has no value there: the interval is open.
+    pub(crate) fn interval_95(&self, parameters: &[f64], of: impl Fn(&[f64]) -> Option<f64>) -> Option<(f64, f64)> {
+        let gradient = self.propagate(parameters, |p| of(p).map(|value| vec![value]))?.factor;
+        let direction = &self.factor * gradient.transpose() / gradient.norm();
+        let at = |by: f64| {
+            let moved: Vec<f64> = parameters.iter().zip(direction.iter()).map(|(p, d)| p + by * d).collect();
+            of(&moved)
+        };
+        let (low, middle, high) = (at(-SD_OF_95)?, of(parameters)?, at(SD_OF_95)?);
+        (low < middle && middle < high).then_some((low, high))
     }
 }
 
@@ -72,6 +83,17 @@ mod tests {
         assert!((found.matrix()[(0, 0)] - (4.0 * 0.04 - 12.0 * 0.019 + 9.0 * 0.01)).abs() < 1e-12);
         assert!((found.standard_errors()[1] - 0.2 * 1_f64.exp()).abs() < 1e-4);
         assert!(covariance.propagate(&[1.0, 2.0], |_| None).is_none());
+    }
+
+    #[test]
+    fn an_interval_follows_a_curved_function_and_may_be_open() {
+        let covariance = Covariance::from_factor(DMatrix::from_row_slice(2, 2, &[0.3, 0.0, 0.2, 0.1]));
+        // The sum has σ = √(0.5² + 0.1²).
+        let reach = 1.959_964 * 0.26_f64.sqrt();
+        let (low, high) = covariance.interval_95(&[1.0, 1.0], |p| Some((p[0] + p[1]).exp())).unwrap();
+        assert!((low - (2.0 - reach).exp()).abs() < 1e-3 && (high - (2.0 + reach).exp()).abs() < 1e-2, "{low} {high}");
+        let until = |p: &[f64]| Some(p[0] + p[1]).filter(|sum| *sum < 2.5);
+        assert_eq!(covariance.interval_95(&[1.0, 1.0], until), None);
     }
 
     #[test]

@@ -23,8 +23,6 @@ use std::path::Path;
 const DECIMATION_NEEDS: usize = 11;
 /// Usual names of a column of times.
 const TIMES: [&str; 4] = ["t_s", "time_s", "t", "time"];
-/// Difference between periods that is told, as part of them.
-const SAME_PERIOD: f64 = 0.01;
 /// Current beyond which a unit is more likely to be wrong than the current right.
 const MOST_AMPERES: f64 = 50.0;
 /// Angle below which all of a record is hardly a deflection in degrees.
@@ -212,7 +210,7 @@ fn warn_of_another_time(file: &Path, period_s: f64) {
         let Ok(read) = columns(file, &[name]) else { continue };
         let times: Vec<f64> = read.into_iter().flatten().flatten().collect();
         let steps = times.iter().zip(times.iter().skip(1)).map(|(before, after)| after - before);
-        let Some(step) = median(steps).filter(|step| (step / period_s - 1.0).abs() > SAME_PERIOD) else { return };
+        let Some(step) = median(steps).filter(|step| !records::is_one_period(*step, period_s)) else { return };
         tracing::warn!(
             "{}: --period says {period_s} s from row to row, its column {name} {step:.6}: if that is in seconds, give \
              --time {name} instead",

@@ -6,7 +6,7 @@ use crate::plural::plural;
 use crate::series::{Current, CurrentClock, CurrentTable, Recording};
 use std::path::Path;
 
-/// Largest relative difference of the records' periods.
+/// Largest relative difference of two periods that are one.
 const SAME_PERIOD: f64 = 0.01;
 
 /// All records, those to judge by last, each with its table of currents if there are tables.
@@ -60,10 +60,15 @@ impl Driven {
     }
 }
 
+/// Whether two periods are one, but for errors of the clocks.
+pub(super) fn is_one_period(one_s: f64, other_s: f64) -> bool {
+    (one_s / other_s - 1.0).abs() <= SAME_PERIOD
+}
+
 /// Refuses records whose periods differ. `records`: names and periods, seconds; `advice`: what else could be done.
 pub(super) fn one_period<'a>(mut records: impl Iterator<Item = (&'a str, f64)>, advice: &str) -> Result<(), Failure> {
     let Some((first, first_s)) = records.next() else { return Ok(()) };
-    match records.find(|(_, period_s)| (period_s / first_s - 1.0).abs() > SAME_PERIOD) {
+    match records.find(|(_, period_s)| !is_one_period(*period_s, first_s)) {
         None => Ok(()),
         Some((name, period_s)) => Err(Failure::usage(format!(
             "{name}: samples are {period_s:.6} s apart, and {first_s:.6} s in {first}: records that belong together \

@@ -10,6 +10,7 @@ use super::super::descent::{Descent, Lowest};
 use super::super::estimated::Estimated;
 use super::super::model::{Orders, Polynomials};
 use super::super::regression::{Triangle, solve};
+use super::super::shortest::Delayed;
 use super::super::uncertainty::Covariance;
 use super::average::{Averaged, Line, MIN_PERIODS};
 use nalgebra::Complex;
@@ -24,6 +25,7 @@ const ROUNDING: f64 = 1e-12;
 #[derive(Debug, Clone)]
 pub(crate) struct Found {
     pub(crate) estimated: Estimated,
+    deviance: f64,
     /// Residual relative to noise (1).
     pub(crate) left: f64,
     /// σ of `left` for noise alone.
@@ -56,6 +58,8 @@ pub(crate) fn fit(records: &[Averaged], orders: Orders, initial: &[Polynomials])
     let free = lines.len() as f64 - 0.5 * parameters as f64;
     let left = least / (free * (m - 1.0) / (m - 2.0));
     let left_sd = ((m - 1.0) / (m - 3.0) / free).sqrt();
+    // As where the level of the noise is unknown; differences of it scatter as σ does.
+    let deviance = 2.0 * free * (m - 3.0) / (m - 2.0) * left.ln();
     // Real and imaginary part have half the variance each. A residual beyond noise widens σ.
     let scale = (0.5 * (m - 1.0) / (m - 3.0) * left.max(1.0)).sqrt();
     let estimated = Estimated {
@@ -65,7 +69,17 @@ pub(crate) fn fit(records: &[Averaged], orders: Orders, initial: &[Polynomials])
         condition: solution.condition,
         model,
     };
-    Some(Found { estimated, left, left_sd, steps, converged })
+    Some(Found { estimated, deviance, left, left_sd, steps, converged })
+}
+
+impl Delayed for Found {
+    fn nk(&self) -> usize {
+        self.estimated.model.nk
+    }
+
+    fn deviance(&self) -> f64 {
+        self.deviance
+    }
 }
 
 fn cost(lines: &[&Line], model: &Polynomials) -> f64 {

@@ -21,6 +21,7 @@ use super::estimated::{Estimated, Refined};
 use super::initial::initial_models;
 use super::model::{Orders, Polynomials};
 use super::reduce::Target;
+use super::shortest::shortest;
 
 /// Highest order that `auto` tries.
 const MAX_ORDER: usize = 6;
@@ -45,6 +46,8 @@ pub struct Periodic {
     pub left: f64,
     /// σ of `left` for noise alone.
     pub left_sd: f64,
+    /// Other delays with which a model explains the lines about as well, samples (nk), rising.
+    pub other_delays: Vec<usize>,
 }
 
 impl Periodic {
@@ -54,7 +57,8 @@ impl Periodic {
     }
 }
 
-/// Fits a model of `target` states to all records; the delay is the one of `delays` with the smallest residual.
+/// Fits a model of `target` states to all records, with the shortest of `delays` that explains the lines about as well
+/// as any.
 /// `others`: additional initial models.
 ///
 /// # Errors
@@ -79,27 +83,29 @@ pub(crate) fn fit(
     };
     // ln of the residual, plus the penalty for each coefficient (minimum description length).
     let value = |left: f64, parameters: usize| left.ln() + parameters as f64 * (2.0 * lines).ln() / (2.0 * lines);
-    let mut best: Option<(f64, likelihood::Found)> = None;
+    let mut best: Option<(f64, Vec<likelihood::Found>)> = None;
     for n in orders {
-        for nk in delays {
+        let with_delay = |nk: &usize| {
             let orders = Orders { na: n, nb: n, nk: *nk };
             let mut initial = initial_models(&segments, orders);
             initial.extend(others.iter().filter(|m| m.orders() == orders).cloned());
-            let Some(found) = likelihood::fit(&averaged, orders, &initial) else { continue };
-            let value = value(found.left, orders.parameters());
-            if best.as_ref().is_none_or(|(least, _)| value < *least) {
-                best = Some((value, found));
-            }
+            likelihood::fit(&averaged, orders, &initial)
+        };
+        let found: Vec<_> = delays.iter().filter_map(with_delay).collect();
+        let Some(left) = found.iter().map(|found| found.left).min_by(f64::total_cmp) else { continue };
+        let value = value(left, Orders { na: n, nb: n, nk: 0 }.parameters());
+        if best.as_ref().is_none_or(|(least, _)| value < *least) {
+            best = Some((value, found));
         }
     }
-    let (_, found) = best.ok_or_else(|| {
+    let (found, other_delays) = best.and_then(|(_, found)| shortest(&found)).ok_or_else(|| {
         format!(
             "{lines} lines stand out of the noise, and no stable model of the order asked for follows from them: a \
              lower order, more periods, or a stronger input may do"
         )
     })?;
-    let likelihood::Found { estimated, left, left_sd, steps, converged } = found;
-    Ok(Periodic { refined: Refined { estimated, steps, converged }, records: averaged, left, left_sd })
+    let likelihood::Found { estimated, left, left_sd, steps, converged, .. } = found;
+    Ok(Periodic { refined: Refined { estimated, steps, converged }, records: averaged, left, left_sd, other_delays })
 }
 
 impl Periodic {

@@ -1,5 +1,6 @@
 //! Periods with known noise: exact without it, and σ compared with the scatter of many records.
 
+use super::super::bandwidth::{Definition, bandwidth};
 use super::super::continuous::{Continuous, Conversion};
 use super::super::data::{Record, Segment};
 use super::super::model::{Orders, Polynomials, angle};
@@ -65,10 +66,29 @@ fn a_delay_and_the_order_are_found() {
     assert_eq!(found.estimated().model.orders(), Orders { na: 2, nb: 2, nk: 3 });
 }
 
-/// Noise on both signals, and common noise: mean square of error/σ over many records, 1 ± √(2/150).
+/// A system whose response begins slowly is one of less delay as well, as far as the noise tells: never by chance.
+#[test]
+fn of_delays_that_do_about_as_well_the_shortest_is_taken_and_the_others_are_named() {
+    let lag = Continuous { num: vec![30.0], ..truth() };
+    let late = Polynomials { nk: 2, ..lag.sampled(PERIOD_S) };
+    let input = multisine(1, 9);
+    for seed in 1..=10 {
+        let noisy = late.simulate(&input).into_iter().zip(noise(seed, input.len())).map(|(y, e)| y + 0.8 * e);
+        let segment = Segment { input: input.clone(), output: noisy.collect(), from_rest: true, ..Segment::default() };
+        let record = Record { name: "late".into(), segments: vec![segment] };
+        let found = fit(&[record], PERIOD_S, every(1), Target::Order(2), &[1, 2, 3, 4, 5], &[]).unwrap();
+        assert!(found.estimated().model.nk == 1 && found.other_delays.contains(&2), "{seed}: {found:?}");
+    }
+}
+
+/// Noise on both signals, and common noise: mean square of error/σ over many records, 1 ± √(2/150); and how often the
+/// intervals of bandwidths contain the truth, 95 ± 1 %.
 #[test]
 fn sigma_is_as_large_as_the_scatter() {
     const DRAWS: u64 = 150;
+    let of_truth = |d| bandwidth(d, |f| truth().response(f), 30.0, (0.5, 15.0)).frequency_hz.unwrap();
+    let bandwidths = Definition::ALL.map(of_truth);
+    let mut outside = [0; 3];
     for (sd_in, sd_out, periods) in [(0.0, 0.4, 11), (1.5, 0.2, 11), (0.5, 0.4, 7)] {
         let mut sums = [0.0; 4];
         let (mut gain, mut left, mut line) = (0.0, 0.0, 0.0);
@@ -76,7 +96,13 @@ fn sigma_is_as_large_as_the_scatter() {
             let found = fit_two(&[record(seed, periods, sd_in, sd_out)], 1);
             let Estimated { model, covariance, .. } = found.estimated().clone();
             left += found.left / DRAWS as f64;
-            let modelled = Modelled::new(Role::Periodic, String::new(), model, Some(covariance), PERIOD_S, (0.5, 15.0));
+            let mut modelled =
+                Modelled::new(Role::Periodic, String::new(), model, Some(covariance), PERIOD_S, (0.5, 15.0));
+            modelled.intervals_by_covariance(PERIOD_S, (0.5, 15.0));
+            for (outside, (found, truth)) in outside.iter_mut().zip(modelled.bandwidths.iter().zip(bandwidths)) {
+                let (low, high) = found.interval_hz.unwrap();
+                *outside += usize::from(!(low..high).contains(&truth));
+            }
             let point = modelled.bode[150];
             let there = truth().sampled(PERIOD_S).response(angle(point.frequency_hz, PERIOD_S)).norm();
             gain += ((point.magnitude / there).ln() / point.sd.unwrap().0).powi(2) / DRAWS as f64;
@@ -99,6 +125,7 @@ fn sigma_is_as_large_as_the_scatter() {
         assert!(sums.iter().chain([&gain]).all(|s| (0.65..1.35).contains(s)), "{what}");
         assert!((0.9..1.1).contains(&left) && (0.85..1.15).contains(&line), "{what}");
     }
+    assert!(outside.iter().all(|of_450| (9..=36).contains(of_450)), "{outside:?} of 450");
 }
 
 #[test]

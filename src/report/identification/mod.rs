@@ -306,9 +306,9 @@ fn frequency(data: &Data, done: &Shown<'_>) -> String {
     }
     text += "<h3>Bandwidth</h3>\n<p>It depends on the definition. Of H(s), or of the samples, whose phase holds half a \
              period of the hold too. Extrapolated: the frequency, or zero frequency, which it refers to, lies outside \
-             the excited band. The interval holds the middle 95 % of a residual bootstrap; there is none without a \
-             bootstrap, and none where noise biases the model (ARX, and what is reduced from it, with Eq. 6 or with \
-             residuals that are not white), because the scatter does not show the bias.</p>\n";
+             the excited band. The interval is that of a residual bootstrap, or of the scatter of averaged periods; \
+             there is none without either, and none where noise biases the model (ARX, and what is reduced from it, \
+             with Eq. 6 or with residuals that are not white), because the scatter does not show the bias.</p>\n";
     text + &table(3, &["Model", "Of", "Definition", "Hz", "95 % interval", "Excited band"], &rows)
 }
 
