@@ -26,6 +26,10 @@ impl<T> ByBand<T> {
         self.0.get(marker).map(Vec::as_slice)
     }
 
+    pub(crate) fn iter_mut(&mut self) -> impl Iterator<Item = &mut T> {
+        self.0.iter_mut().flatten()
+    }
+
     pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
         self.0.iter().flatten()
     }

@@ -6,6 +6,7 @@
 
 use crate::rig::Rig;
 use crate::track::appearance::{FIXED, PER_SEGMENT};
+use crate::track::by_band::ByBand;
 use crate::track::fit::ViewFit;
 use crate::track::light::Encoding;
 use crate::track::stretch::Group;
@@ -23,7 +24,7 @@ const LASTING_FRAMES: u32 = 30;
 
 /// The colour of each marker in each view in the first frames, in linear light.
 pub(crate) struct FirstColours {
-    levels: Vec<Vec<Level>>,
+    levels: ByBand<Level>,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -34,7 +35,7 @@ struct Level {
 
 impl FirstColours {
     pub(crate) fn new(rig: &Rig) -> Self {
-        Self { levels: vec![vec![Level::default(); rig.views.len()]; rig.markers.len()] }
+        Self { levels: ByBand::new(rig, |_, _| Level::default()) }
     }
 
     /// By what to multiply a residual, so that it is that in the light of the first frames, where `difference` is ln of
@@ -48,7 +49,7 @@ impl FirstColours {
     /// or too little is known.
     fn light(&self, (group, view, fit): (&Group, usize, &ViewFit), encoding: &Encoding) -> f64 {
         let changes = bands(group, fit).map(|(marker, colour)| {
-            let level = self.levels.get(marker)?.get(view).filter(|level| level.frames >= MIN_FRAMES)?;
+            let level = self.levels.get(marker, view).filter(|level| level.frames >= MIN_FRAMES)?;
             let along = level.mean.try_normalize(0.0)?;
             let change = colour - level.mean;
             let brighter = change.dot(&along);
@@ -62,7 +63,7 @@ impl FirstColours {
     /// Adds the colours of an accepted fit.
     pub(crate) fn add(&mut self, (group, view, fit): (&Group, usize, &ViewFit)) {
         for (marker, colour) in bands(group, fit) {
-            if let Some(level) = self.levels.get_mut(marker).and_then(|views| views.get_mut(view))
+            if let Some(level) = self.levels.get_mut(marker, view)
                 && level.frames < AVERAGED_FRAMES
             {
                 level.frames += 1.0;

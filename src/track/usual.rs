@@ -104,13 +104,13 @@ impl Usual {
 
     /// ln of the factor by which a value differs from what was seen, once enough was.
     pub(crate) fn difference(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
-        let (mean, _) = self.level(marker, view)?.seen()?;
+        let (mean, _) = self.levels.get(marker, view)?.seen()?;
         Some(value.ln() - mean)
     }
 
     /// Multiplies all that was seen by a factor, given as its ln.
     pub(crate) fn scale(&mut self, ln_factor: f64) {
-        self.levels.iter_mut().flatten().for_each(|level| level.mean += ln_factor);
+        self.levels.iter_mut().for_each(|level| level.mean += ln_factor);
     }
 
     /// Whether enough was seen of a marker in a view.
