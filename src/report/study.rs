@@ -95,7 +95,7 @@ fn unfinished(study: &Study) -> String {
     let begun = study
         .unfinished
         .iter()
-        .map(|folder| format!("{}: has no summary.json: not finished, or not of track", folder.display()));
+        .map(|folder| format!("{}: has no summary.json, which a run writes last: it was not finished", folder.display()));
     let unread = study.left_out.iter().map(ToString::to_string);
     let rows: Vec<Vec<Html>> = begun.chain(unread).map(|text| vec![Html::wrapped(&text)]).collect();
     match rows.is_empty() {

@@ -138,8 +138,12 @@ def review(page):
     expect(page.locator("#frame")).not_to_contain_text("is being read")
     page.keyboard.press("v")
     page.keyboard.type("<b>a hand</b>")
-    page.get_by_role("button", name="Veto this frame").click()
+    page.keyboard.press("Enter")
     expect(page.locator("#vetoes")).to_contain_text("frame 7: <b>a hand</b>")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#frame")).to_contain_text("frame 8")
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("#frame")).to_contain_text("vetoed: <b>a hand</b>")
     assert page.locator("#vetoes b").count() == 0, "a comment became markup"
 
 

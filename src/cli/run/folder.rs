@@ -102,6 +102,11 @@ pub(in crate::cli) fn default_folder(recording: &Path) -> PathBuf {
     folder.into()
 }
 
+/// Name of the run whose results are in `folder`.
+pub(in crate::cli) fn name(folder: &Path) -> String {
+    whole_path(folder).file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+}
+
 impl Files {
     /// Files in `folder`, with the table at `table` if given.
     pub(in crate::cli) fn new(folder: &Path, table: Option<&Path>, overlay: bool) -> Self {
