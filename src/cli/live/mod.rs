@@ -96,7 +96,7 @@ pub(crate) struct Args {
         requires = "record", hide = true, allow_negative_numbers = true,
     )]
     keep_free: Option<f64>,
-    /// Stop after T seconds
+    /// Stop after this time, as 90s or 10min; without a unit it is seconds
     #[arg(long, value_name = "T", value_parser = seconds, allow_negative_numbers = true)]
     duration: Option<Duration>,
     /// Frame of table and report: base or camera

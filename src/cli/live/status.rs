@@ -116,7 +116,8 @@ impl StatusLine {
         let short = WARN_AT_S.iter().filter(|limit| left_s < **limit).count();
         if short > self.warned_short {
             self.warned_short = short;
-            tracing::warn!("{}: the disk is full in {:.0} minutes at this rate", self.folder.display(), left_s / 60.0);
+            let minutes = plural((left_s / 60.0).round().max(1.0) as u64, "minute");
+            tracing::warn!("{}: the disk will be full in about {minutes} at this rate", self.folder.display());
         }
     }
 }

@@ -30,7 +30,11 @@ impl FinishedRun {
     ///
     /// # Errors
     /// [`Exit::Failed`] when the folder cannot be read.
-    pub(in crate::cli) fn summary(self, files: &Files, failure: Option<&Failure>) -> Result<Option<RunSummary>, Failure> {
+    pub(in crate::cli) fn summary(
+        self,
+        files: &Files,
+        failure: Option<&Failure>,
+    ) -> Result<Option<RunSummary>, Failure> {
         let (outcome, failure) = match failure {
             None => (Outcome::Tracked, None),
             Some(failure) => match failure.exit() {

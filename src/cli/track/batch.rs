@@ -1,8 +1,8 @@
 //! Tracking of many recordings: the list, and the outcomes.
 
 use super::super::output;
-use super::super::run::folder;
 use super::super::progress::{Progress, stderr};
+use super::super::run::folder;
 use super::jobs::{Batch, Done, Job};
 use super::options::Options;
 use super::{Args, Exit, Failure, interrupt};

@@ -85,7 +85,8 @@ impl Batch<'_> {
     /// # Errors
     /// When the system cannot start a thread; recordings that fail are reported, and are not an error.
     pub(super) fn run(&self, at_once: usize, mut done: impl FnMut(usize, Done)) -> Result<(), Failure> {
-        let common = Common { program: hash::of_program().ok(), libraries: finished::libraries(), rigs: Mutex::default() };
+        let common =
+            Common { program: hash::of_program().ok(), libraries: finished::libraries(), rigs: Mutex::default() };
         let next = AtomicUsize::new(0);
         let pools = (0..at_once.max(1)).map(|_| pool(self.threads)).collect::<Result<Vec<_>, _>>()?;
         std::thread::scope(|scope| {
