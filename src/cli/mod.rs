@@ -99,8 +99,7 @@ Example:
     Log(log::Args),
     /// Track a camera live: send θ to controllers within milliseconds, and log every frame
     #[command(after_help = "\
-Writes log.mcap, track.csv, report.html, run.toml and, at the end, summary.json into DIR, with a row
-for every camera frame.
+DIR gets log.mcap, track.csv, report.html, run.toml and summary.json; every camera frame has a row.
 Ctrl-C completes the files; a run that is killed loses its last second at most.
 Example:
   catoptra live sample_frames/planar.mkv --realtime --rig calibration/dev_tank/rig.toml \\

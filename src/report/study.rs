@@ -171,7 +171,7 @@ fn group(name: &str, study: &Study, standing: &BTreeSet<usize>, of: &dyn Fn(&Run
             median(values).map_or("–".to_owned(), |v| format!("{v:.digits$}"))
         };
         let end = |pick: fn(f64, f64) -> f64, get: fn(&Measured) -> Option<f64>| {
-            measured().filter_map(get).reduce(pick).map_or("–".to_owned(), |v| format!("{v:.1}°"))
+            measured().filter_map(get).reduce(pick).map_or("–".to_owned(), |v| page::minus(format!("{v:.1}°")))
         };
         let (lasting, over) = alarms(measured());
         let failed = runs.iter().filter(|(_, run)| run.summary.outcome != Outcome::Tracked).count();

@@ -230,10 +230,11 @@ def main():
                 page.fill("#comment", "it was another frame")
                 page.get_by_role("button", name="Take the veto back").click()
                 expect(page.locator("#vetoes")).to_have_text("")
-            # A tablet held upright.
-            page.set_viewport_size({"width": 800, "height": 1200})
-            page.wait_for_timeout(200)
-            small += small_text(page)
+            # A tablet held upright, and phones.
+            for width, height in ((800, 1200), (390, 844), (320, 700)):
+                page.set_viewport_size({"width": width, "height": height})
+                page.wait_for_timeout(200)
+                small += small_text(page)
             assert not small, small
             problems += own
             page.close()

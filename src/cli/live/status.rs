@@ -63,7 +63,7 @@ impl StatusLine {
         self.last = Instant::now();
         let rate = status.new_frames as f64 / elapsed_s;
         let angle = status.theta_rad.map_or("θ –".to_owned(), |(theta, sd)| {
-            format!("θ {:+.2}° ± {:.2}", theta.to_degrees(), sd.to_degrees())
+            format!("θ {:+.2}° ± {:.2}°", theta.to_degrees(), sd.to_degrees())
         });
         let (seen, markers) = status.markers;
         if let Some(silent) = status.silent.filter(|_| !self.warned_silent) {
