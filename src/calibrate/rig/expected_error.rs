@@ -291,10 +291,11 @@ struct Candidate {
 
 fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]) -> Vec<Candidate> {
     let mut list = Vec::new();
-    let is_measured = |wall: usize| {
-        let measured = |known: &Prior| matches!(known, Prior::Distance { surface, sd_m, .. } if *surface == wall && *sd_m <= TAPE_SD_M);
-        solution.known.iter().any(measured)
+    let measured = |known: &Prior| match known {
+        Prior::Distance { surface, sd_m, .. } if *sd_m <= TAPE_SD_M => Some(*surface),
+        _ => None,
     };
+    let is_measured = |wall: usize| solution.known.iter().filter_map(measured).any(|surface| surface == wall);
     for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate().filter(|(wall, _)| !is_measured(*wall)) {
         let distance_m = solution.geometry.value(Parameter::Offset { surface }).abs();
         let known = Prior::Distance { surface, distance_m, sd_m: TAPE_SD_M };

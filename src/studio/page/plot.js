@@ -15,7 +15,8 @@ function step(range, count) {
   return [1, 2, 5, 10].map((n) => n * power).find((n) => n >= rough) ?? 10 * power;
 }
 
-const digits = (value, by) => value.toFixed(Math.max(0, Math.min(6, -Math.floor(Math.log10(by) + 1e-9))));
+const digits = (value, by) =>
+  value.toFixed(Math.max(0, Math.min(6, -Math.floor(Math.log10(by) + 1e-9)))).replace("-", "−");
 
 export class Plot {
   /**
