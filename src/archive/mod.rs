@@ -22,7 +22,7 @@ pub(crate) mod transient;
 pub(crate) mod unusual;
 
 pub(crate) use manifest::{Entry, Manifest, ManifestError, default_name, is_name};
-pub(crate) use staleness::{CurrentInputs, Staleness, is_complete, staleness};
+pub(crate) use staleness::{CurrentInputs, Staleness, is_as_recorded, is_complete, staleness};
 #[cfg(test)]
 pub(crate) use summary::Alarm;
 pub(crate) use summary::{

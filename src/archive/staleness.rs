@@ -1,6 +1,6 @@
 //! [`staleness`]: whether the results in a folder are those that a run would give now, and why not.
 
-use super::{Hashes, Outcome, RunSummary, SUMMARY, SummaryError, hash};
+use super::{FileRecord, Hashes, Outcome, RunSummary, SUMMARY, SummaryError, hash};
 use std::fmt;
 use std::path::Path;
 
@@ -96,15 +96,16 @@ pub(crate) fn staleness(folder: &Path, now: &CurrentInputs) -> Staleness {
 
 /// A result file that is missing or was changed, if there is one.
 fn changed_file(folder: &Path, summary: &RunSummary) -> Option<String> {
-    let whole = |file: &&super::FileRecord| {
-        let path = folder.join(&file.name);
-        let found = std::fs::metadata(&path);
-        let is_same = |then: &String| hash::of_file(&path).is_ok_and(|now| now == *then);
-        file.name == SUMMARY
-            || found.is_ok_and(|found| found.is_file() && found.len() == file.bytes)
-                && file.sha256.as_ref().is_none_or(is_same)
-    };
+    let whole = |file: &&FileRecord| file.name == SUMMARY || is_as_recorded(folder, file);
     summary.files.iter().find(|file| !whole(file)).map(|file| file.name.clone())
+}
+
+/// Whether a file in `folder` has the length, and the hash if there is one, that its run recorded.
+pub(crate) fn is_as_recorded(folder: &Path, file: &FileRecord) -> bool {
+    let path = folder.join(&file.name);
+    let is_same = |then: &String| hash::of_file(&path).is_ok_and(|now| now == *then);
+    std::fs::metadata(&path).is_ok_and(|found| found.is_file() && found.len() == file.bytes)
+        && file.sha256.as_ref().is_none_or(is_same)
 }
 
 /// Whether `folder` has complete results of the recording with this whole path, of whatever rig and options.

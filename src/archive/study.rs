@@ -1,7 +1,7 @@
 //! All runs of an archive: finds them in their folders and makes tables.
 
 use super::tables::{Cells, Table, TableError};
-use super::{Measured, Outcome, RunSummary, SummaryError};
+use super::{FileRecord, Measured, Outcome, RunSummary, SummaryError, is_as_recorded};
 use crate::log::schema::{LOG_FILE, TABLE_FILE, table};
 use crate::plural::plural;
 use crate::vetoes::{VetoError, Vetoes};
@@ -30,7 +30,7 @@ pub(crate) struct Run {
 pub(crate) struct Study {
     /// Sorted by folder.
     pub(crate) runs: Vec<Run>,
-    /// Folders with results but no summary: of an unfinished run, or of another command.
+    /// Folders with results but no summary: of unfinished runs.
     pub(crate) unfinished: Vec<PathBuf>,
     /// Why runs are left out.
     pub(crate) left_out: Vec<LeftOut>,
@@ -60,6 +60,12 @@ pub(crate) enum StudyError {
     /// The table of a run was changed.
     #[error("{}:{line}: {reason}; track the recording again", path.display())]
     Track { path: PathBuf, line: u64, reason: String },
+    /// It can be read, and has other content than its summary says.
+    #[error(
+        "{}: was changed since it was written: its SHA-256 is not that in summary.json; restore it, or track the \
+         recording again", path.display()
+    )]
+    Changed { path: PathBuf },
     #[error(transparent)]
     Table(#[from] TableError),
     #[error(transparent)]
@@ -236,7 +242,12 @@ fn below(folder: &Path) -> io::Result<Vec<PathBuf>> {
 impl Run {
     /// Whether it has a table of frames in its folder.
     fn has_table(&self) -> bool {
-        self.summary.files.iter().any(|file| file.name == TABLE_FILE)
+        self.table().is_some()
+    }
+
+    /// What its summary says of its table, if that is in its folder.
+    fn table(&self) -> Option<&FileRecord> {
+        self.summary.files.iter().find(|file| file.name == TABLE_FILE)
     }
 
     /// Frame of reference of its positions and directions.
@@ -274,6 +285,10 @@ fn check(run: &Run) -> Result<Option<String>, StudyError> {
         Ok(())
     };
     let added = add_all(run, &names, &mut Frames::new(&names), forget)?;
+    let table = run.table().filter(|table| table.sha256.is_some());
+    if table.is_some_and(|table| !is_as_recorded(&run.folder, table)) {
+        return Err(StudyError::Changed { path: run.folder.join(TABLE_FILE) });
+    }
     let lost = added.vetoes.without_frame(added.vetoed_ns.into_iter());
     Ok(lost.map(|said| format!("{}: {said}", run.folder.display())))
 }

@@ -1,7 +1,7 @@
 //! What is found in an archive, and its tables.
 
 use super::study::Study;
-use super::{Outcome, RunSummary};
+use super::{FileRecord, Outcome, RunSummary, hash};
 use crate::log::schema::{LOG_FILE, TABLE_FILE, table};
 use parquet::file::reader::SerializedFileReader;
 use parquet::record::RowAccessor as _;
@@ -88,6 +88,26 @@ fn a_table_that_is_not_the_one_its_summary_describes_leaves_its_run_out() {
         assert_eq!((names.as_slice(), frames), (["good".to_owned()].as_slice(), 3), "{reason}");
         assert!(why.len() == 1 && why[0].starts_with(reason), "{reason}: {why:?}");
     }
+}
+
+#[test]
+fn a_table_with_other_numbers_than_were_hashed_leaves_its_run_out() {
+    let archive = tempfile::tempdir().unwrap();
+    let mut run = summary("run", "tip", "base");
+    let table = track("tip");
+    run.files = vec![FileRecord {
+        name: TABLE_FILE.to_owned(),
+        bytes: table.len() as u64,
+        sha256: Some(hash::of_bytes(table.as_bytes())),
+    }];
+    save(archive.path(), &run, &table);
+    let find = || Study::find(&[archive.path().to_owned()]).unwrap();
+    assert_eq!((find().runs.len(), find().left_out.len()), (1, 0));
+    save(archive.path(), &run, &table.replace("1.5", "1.6"));
+    let study = find();
+    assert_eq!((study.runs.len(), study.left_out.len()), (0, 1));
+    let why = study.left_out[0].to_string();
+    assert!(why.contains("run/track.csv: was changed since it was written"), "{why}");
 }
 
 #[test]

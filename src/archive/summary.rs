@@ -346,11 +346,15 @@ impl RunSummary {
             schema: u32,
         }
         let refused = |reason: String| SummaryError::Form { path: path.clone(), reason };
-        let form: Form = serde_json::from_slice(&bytes).map_err(|e| refused(e.to_string()))?;
+        let wrong = |e: serde_json::Error| match e.is_eof() {
+            true => refused("it is cut off".to_owned()),
+            false => refused(e.to_string()),
+        };
+        let form: Form = serde_json::from_slice(&bytes).map_err(wrong)?;
         if form.schema != SCHEMA {
             return Err(refused(format!("its format version is {}; this program reads version {SCHEMA}", form.schema)));
         }
-        serde_json::from_slice(&bytes).map(Some).map_err(|e| refused(e.to_string()))
+        serde_json::from_slice(&bytes).map(Some).map_err(wrong)
     }
 
     /// Writes it into `folder` in one step.

@@ -1,5 +1,6 @@
 //! Live sources as they are named on the command line, by `live` and `studio`.
 
+use super::units::exposure_ms;
 use super::{Exit, Failure};
 use crate::source::host::HostClock;
 use crate::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
@@ -20,8 +21,8 @@ pub(super) struct SourceArgs {
     /// Camera: frames per second
     #[arg(long, value_name = "RATE", allow_hyphen_values = true)]
     pub(super) fps: Option<FrameRate>,
-    /// Camera: exposure time in milliseconds
-    #[arg(long, value_name = "MS", value_parser = positive, allow_negative_numbers = true)]
+    /// Camera: exposure time, as 8.5ms; without a unit it is milliseconds
+    #[arg(long, value_name = "T", value_parser = exposure_ms, allow_negative_numbers = true)]
     pub(super) exposure: Option<f64>,
     /// Camera: gain, in its own unit
     #[arg(long, value_name = "G", value_parser = finite, allow_negative_numbers = true)]

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 /// Arguments of `catoptra collect`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folders with the results of `track`: of runs, or of many of them
+    /// Folders with the results of `track` or `live`: of runs, or of many of them
     #[arg(value_name = "DIR", required = true)]
     folders: Vec<PathBuf>,
     /// Folder for tables and page
@@ -40,11 +40,12 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let study = Study::find(&args.folders).map_err(failure)?;
     let folders = || args.folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ");
     if study.runs.is_empty() && study.left_out.is_empty() {
-        let text = "no summary.json in it or below: give folders that `catoptra track` wrote";
+        let text = "no summary.json in it or below: give folders that `catoptra track` or `live` wrote";
         return Err(Failure::usage(format!("{}: {text}", folders())));
     }
     study.unfinished.iter().for_each(|folder| {
-        tracing::warn!("{}: has no summary.json: not finished, or not of `track`; it is left out", folder.display());
+        let text = "has no summary.json, which a run writes last: it was not finished, and is left out";
+        tracing::warn!("{}: {text}", folder.display());
     });
     study.too_deep.iter().for_each(|folder| {
         tracing::warn!("{}: lies too deep and is not searched: name it, or a folder nearer to it", folder.display());

@@ -82,11 +82,11 @@ struct Reworded {
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = if self.exit == Exit::Interrupted { "interrupted" } else { "error" };
-        let mut said = self.error.to_string();
+        let mut said = without_numbers(&self.error.to_string());
         writeln!(f, "{kind}: {said}")?;
         let mut cause = self.error.source();
         while let Some(error) = cause {
-            let because = error.to_string();
+            let because = without_numbers(&error.to_string());
             if !said.contains(&because) {
                 writeln!(f, "  because: {because}")?;
             }
@@ -95,6 +95,14 @@ impl fmt::Display for Failure {
         }
         Ok(())
     }
+}
+
+/// Without the system's numbers of its errors, whose words are there.
+fn without_numbers(text: &str) -> String {
+    let mut parts = text.split(" (os error ");
+    let mut said = parts.next().unwrap_or_default().to_owned();
+    parts.for_each(|part| said += part.split_once(')').map_or("", |(_, rest)| rest));
+    said
 }
 
 impl From<RigError> for Failure {
@@ -133,5 +141,7 @@ mod tests {
             ("error: a: disk full\n", "a: disk full")
         );
         assert_eq!(shown("cannot write a.csv"), "error: cannot write a.csv\n  because: disk full\n");
+        let missing = Failure::usage("a (No such file (os error 2)), b: Permission denied (os error 13)");
+        assert_eq!(missing.message(), "a (No such file), b: Permission denied");
     }
 }

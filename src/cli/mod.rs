@@ -99,7 +99,7 @@ Example:
     Log(log::Args),
     /// Track a camera live: send θ to controllers within milliseconds, and log every frame
     #[command(after_help = "\
-Writes log.mcap, track.csv, report.html and run.toml into DIR, with a row for every camera frame.
+DIR gets log.mcap, track.csv, report.html, run.toml and summary.json; every camera frame has a row.
 Ctrl-C completes the files; a run that is killed loses its last second at most.
 Example:
   catoptra live sample_frames/planar.mkv --realtime --rig calibration/dev_tank/rig.toml \\
@@ -133,7 +133,7 @@ Example:
   catoptra studio sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml --no-open \\
     --duration 2")]
     Studio(studio::Args),
-    /// Identify the dynamics from logs, tables, or any input and output (docs/identify.md; --json)
+    /// Identify the dynamics from RECORDs: logs, tables, any input and output (docs/identify.md; --json)
     #[command(after_help = "\
 Example:
   catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\

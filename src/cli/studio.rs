@@ -37,7 +37,7 @@ pub(crate) struct Args {
     no_open: bool,
     #[command(flatten)]
     from: SourceArgs,
-    /// Stop after T seconds
+    /// Stop after this time, as 90s or 10min; without a unit it is seconds
     #[arg(long, value_name = "T", value_parser = seconds, allow_negative_numbers = true)]
     duration: Option<Duration>,
 }

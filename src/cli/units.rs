@@ -6,7 +6,10 @@ use std::time::Duration;
 /// A current in amperes; the unit must be there, because a missing one is off by a thousand.
 pub(super) fn current_a(text: &str) -> Result<f64, String> {
     const UNITS: &[(&str, f64)] = &[("mA", 1e-3), ("A", 1.0)];
-    with_unit(text, UNITS).ok_or_else(|| format!("`{text}` is no current: write for example 100mA or 0.1A"))
+    with_unit(text, UNITS).ok_or_else(|| match text.trim().parse::<f64>() {
+        Ok(number) if number.is_finite() => format!("`{text}` has no unit: write {number}mA or {number}A"),
+        _ => format!("`{text}` is no current: write for example 100mA or 0.1A"),
+    })
 }
 
 /// A current above 0.
@@ -39,15 +42,28 @@ pub(super) fn signed_duration_s(text: &str) -> Result<f64, String> {
     with_unit(text, TIMES).ok_or_else(|| format!("`{text}` is no time: write for example 20ms or -0.02"))
 }
 
-/// A time in plain seconds, exact to the nanosecond as stamps are; it may be below 0.
+/// A time that may be below 0; seconds, with or without their unit, are exact to the nanosecond as stamps are.
 pub(super) fn seconds_ns(text: &str) -> Result<i64, String> {
-    parse_seconds_ns(text).ok_or_else(|| "expected seconds, such as 12 or 3.25".to_owned())
+    time_ns(text).ok_or_else(|| "expected a time, such as 12, 3.25s or 20ms".to_owned())
 }
 
-/// Plain seconds above 0.
+/// A time above 0; without a unit it is seconds.
 pub(super) fn seconds(text: &str) -> Result<Duration, String> {
-    let ns = parse_seconds_ns(text).and_then(|ns| u64::try_from(ns).ok()).filter(|ns| *ns > 0);
-    ns.map(Duration::from_nanos).ok_or_else(|| "expected seconds above 0, such as 600".to_owned())
+    let ns = time_ns(text).and_then(|ns| u64::try_from(ns).ok()).filter(|ns| *ns > 0);
+    ns.map(Duration::from_nanos).ok_or_else(|| "expected a time above 0, such as 600, 90s or 10min".to_owned())
+}
+
+fn time_ns(text: &str) -> Option<i64> {
+    let exact = |text: &str| parse_seconds_ns(text.trim_end());
+    // Beyond 2^53 ns, a float is not exact, and not needed: these are days.
+    let other = || with_unit(text, TIMES).map(|s| s * 1e9).filter(|ns| ns.abs() < 9e18).map(|ns| ns.round() as i64);
+    exact(text).or_else(|| exact(text.strip_suffix('s')?)).or_else(other)
+}
+
+/// An exposure in milliseconds above 0; without a unit it is milliseconds.
+pub(super) fn exposure_ms(text: &str) -> Result<f64, String> {
+    let value = with_unit(text, &[("µs", 1e-3), ("us", 1e-3), ("ms", 1.0), ("s", 1e3), ("", 1.0)]);
+    value.filter(|ms| *ms > 0.0).ok_or_else(|| format!("`{text}` is no exposure above 0: write for example 8.5ms"))
 }
 
 /// A change of current, amperes per second.
@@ -79,6 +95,9 @@ mod tests {
         assert_eq!([duration_s("20ms"), duration_s("5min"), duration_s("300")], [Ok(0.02), Ok(300.0), Ok(300.0)]);
         assert_eq!([signed_duration_s("-5 ms"), signed_duration_s("0")], [Ok(-0.005), Ok(0.0)]);
         assert_eq!([slew_a_s("2A/s"), slew_a_s("0.5")], [Ok(2.0), Ok(0.5)]);
+        assert_eq!(["3", "3s", "3000 ms"].map(seconds), [(); 3].map(|()| Ok(Duration::from_secs(3))));
+        assert_eq!(["-0.000000001", "-0.000000001s", "2min"].map(seconds_ns), [Ok(-1), Ok(-1), Ok(120_000_000_000)]);
+        assert_eq!(["8.5", "8.5ms", "8500µs", "0.0085s"].map(exposure_ms), [(); 4].map(|()| Ok(8.5)));
     }
 
     #[test]
@@ -86,6 +105,9 @@ mod tests {
         for wrong in ["100", "mA", "1e999A", "nanA", "100 Ω"] {
             assert!(current_a(wrong).unwrap_err().contains("100mA"), "{wrong}");
         }
+        assert_eq!(current_a("0").unwrap_err(), "`0` has no unit: write 0mA or 0A");
+        assert!(seconds("0s").unwrap_err().contains("above 0") && seconds("1h").is_err() && seconds_ns("s").is_err());
+        assert!(exposure_ms("0").unwrap_err().contains("above 0") && exposure_ms("1min").is_err());
         assert!(positive_current_a("0mA").unwrap_err().contains("above 0"));
         assert!(frequency_hz("-1Hz").is_err() && frequency_hz("0.5s").is_err());
         assert!(duration_s("0ms").is_err() && duration_s("1h").is_err());

@@ -25,10 +25,11 @@ const NOT_IN_A_TABLE: [(Topic, &str); 8] = [
     (Topic::Current, "cannot be understood"),
 ];
 /// What is left out of a frame.
-const NOT_OF_A_FRAME: &str = "of each frame: covariances, what each view saw, numbers of misses, the host's times";
+const NOT_OF_A_FRAME: &str =
+    "of each frame: covariances, what each view saw, how often each band was missed, the host's times";
 
 /// Of a log of profile `ros2`.
-const OF_ROS: &str = "topics of ROS 2: they say the same once more, but for pictures and the camera";
+const OF_ROS: &str = "topics of ROS 2: copies of what is in the table, besides pictures and the camera";
 
 /// The table of currents beside `out`.
 fn beside(out: &Path) -> PathBuf {

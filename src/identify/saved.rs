@@ -154,7 +154,8 @@ impl Saved {
             let raw: RawContinuous = toml::from_str(text).map_err(|e| e.message().to_owned())?;
             return Self::of_h(raw, name);
         }
-        let value: serde_json::Value = serde_json::from_str(text).map_err(|e| e.to_string())?;
+        let value: serde_json::Value = serde_json::from_str(text)
+            .map_err(|e| if e.is_eof() { "it is cut off: its last } is missing".to_owned() } else { e.to_string() })?;
         if value.get("format").is_none() {
             let raw: RawContinuous = serde_json::from_value(value).map_err(|e| e.to_string())?;
             return Self::of_h(raw, name);

@@ -56,6 +56,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
 use subscribers::Subscribers;
+use tracing::Span;
 use writer::{Entry, Log};
 
 /// How long a camera that was asked to stop may take.
@@ -146,7 +147,10 @@ pub fn run(
 
     let camera = {
         let (queue, stop) = (Arc::clone(&queue), Arc::clone(stop));
-        Builder::new().name("camera".to_owned()).spawn(move || take_all(source, &queue, &stop))?
+        // Its warnings, and the tracker's, belong to the caller's span.
+        let span = Span::current();
+        let take = move || span.in_scope(|| take_all(source, &queue, &stop));
+        Builder::new().name("camera".to_owned()).spawn(take)?
     };
     let currents = outputs.currents.map(|samples| {
         let (log, subscribers, latest) = (log.clone(), subscribers.clone(), outputs.latest.clone());
@@ -160,8 +164,9 @@ pub fn run(
         let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
         let controllers = outputs.controllers.into_iter().map(|sink| (sink, true)).collect();
         let mut out = RowOutputs { controllers, subscribers, log, counters, pictures, latest: outputs.latest.clone() };
+        let span = Span::current();
         Builder::new().name("tracker".to_owned()).spawn(move || {
-            let end = pool.install(|| track_all(&mut tracker, &queue, &mut out));
+            let end = pool.install(|| span.in_scope(|| track_all(&mut tracker, &queue, &mut out)));
             (end, out.controllers)
         })?
     };

@@ -13,6 +13,9 @@ use plotly::{Plot, Scatter, Scatter3D};
 /// Axes of the base frame at the clamp.
 const AXES: [&str; 3] = ["x, along B0 (mm)", "y (mm)", "z, clamp to tip (mm)"];
 
+/// Where the tip moves less across than this part of its motion along, it reaches a surface.
+const SURFACE: f64 = 1e-6;
+
 /// The page of one shape.
 pub(crate) fn shape_page(
     name: &str,
@@ -21,9 +24,9 @@ pub(crate) fn shape_page(
     shape: &Shape,
     by: &Sensitivity,
 ) -> String {
-    let ma = currents_a.map(|i| format!("{:.1}", i * 1e3)).join(", ");
+    let ma = page::minus(currents_a.map(|i| format!("{:.1}", i * 1e3)).join(", "));
     let cards = [
-        card("θ", format!("{:.2}°", shape.theta_rad().to_degrees()), "of the coil set's tangent", false),
+        card("θ", page::minus(format!("{:.2}°", shape.theta_rad().to_degrees())), "of the coil set's tangent", false),
         card("Polar angle", format!("{:.2}°", shape.polar_rad().to_degrees()), "from the straight tube", false),
         card("Tip", point(&shape.tip), "mm", false),
     ];
@@ -45,15 +48,21 @@ pub(crate) fn shape_page(
 pub(crate) fn reach_page(name: &str, catheter: &Catheter, reach: &Reach) -> String {
     let (low, high) = reach.theta_rad();
     let [least, most] = reach.tip_box();
+    let across = page::minus(format!("motion across it by motion along it: {:.0e}", reach.thickness));
     let cards = [
-        card("θ", format!("{:.1}° to {:.1}°", low.to_degrees(), high.to_degrees()), "within the limit", false),
+        card(
+            "θ",
+            page::minus(format!("{:.1}° to {:.1}°", low.to_degrees(), high.to_degrees())),
+            "within the limit",
+            false,
+        ),
         card(
             "Tip, across",
             format!("{:.1} × {:.1} mm", (most.x - least.x) * 1e3, (most.y - least.y) * 1e3),
             "x × y",
             false,
         ),
-        card("Thickness", format!("{:.0e}", reach.thickness), "0 for a surface", false),
+        card("Tip reaches", if reach.thickness < SURFACE { "a surface" } else { "a volume" }, across, false),
     ];
     let mut plot = space(&[least, most, Point3::origin()]);
     let [x, y, z] = coordinates(reach.reached.iter().map(|r| r.tip));
@@ -152,7 +161,9 @@ pub(crate) fn follow_page(
 }
 
 fn header(kind: &str, title: &str) -> String {
-    format!("<header>\n<p class=\"kind\">Catoptra catheter: {kind}</p>\n<h1>{}</h1>\n</header>\n", escape(title))
+    // The name of a catheter that has no file begins with a small letter.
+    let title = title.strip_prefix("the ").map_or(title.to_owned(), |rest| format!("The {rest}"));
+    format!("<header>\n<p class=\"kind\">Catoptra catheter: {kind}</p>\n<h1>{}</h1>\n</header>\n", escape(&title))
 }
 
 fn whole(kind: &str, name: &str, body: String) -> String {
@@ -204,7 +215,7 @@ fn centre_line(plot: &mut Plot, shape: &Shape, name: &str) {
 }
 
 fn point(point: &Point3<f64>) -> String {
-    format!("{:.2}, {:.2}, {:.2}", point.x * 1e3, point.y * 1e3, point.z * 1e3)
+    page::minus(format!("{:.2}, {:.2}, {:.2}", point.x * 1e3, point.y * 1e3, point.z * 1e3))
 }
 
 fn sensitivity(by: &Sensitivity) -> String {
@@ -215,7 +226,7 @@ fn sensitivity(by: &Sensitivity) -> String {
             let tip = by.tip_m_a.column(coil);
             let tangent = by.tangent_a.column(coil);
             let all = tip.iter().map(|v| format!("{v:.4}")).chain(tangent.iter().map(|v| format!("{:.5}", v * 1e-3)));
-            std::iter::once(format!("coil {name}")).chain(all).collect()
+            std::iter::once(format!("coil {name}")).chain(all.map(page::minus)).collect()
         })
         .collect();
     table(1, &["1 mA in", "tip x (mm)", "tip y (mm)", "tip z (mm)", "tangent x", "tangent y", "tangent z"], &rows)
@@ -223,7 +234,7 @@ fn sensitivity(by: &Sensitivity) -> String {
 
 fn facts(catheter: &Catheter) -> String {
     let Catheter { tube, coils, surroundings, .. } = catheter;
-    let vector = |v: &nalgebra::Vector3<f64>| format!("({}, {}, {})", v.x, v.y, v.z);
+    let vector = |v: &nalgebra::Vector3<f64>| page::minus(format!("({}, {}, {})", v.x, v.y, v.z));
     facts_table(&[
         (
             "Lengths",

@@ -3,10 +3,11 @@
 use super::html::escape;
 use super::timeline::{Bin, Extremes};
 use crate::sink::{Palette, Rgb};
-use plotly::common::{Anchor, Font, Line, Mode, Orientation, Title};
+use plotly::common::{Anchor, ExponentFormat, Font, Line, Mode, Orientation, Title};
 use plotly::configuration::{DisplayModeBar, ModeBarButtonName};
 use plotly::layout::{
-    AspectMode, AspectRatio, Axis, Camera, CameraCenter, DragMode3D, Eye, HoverMode, LayoutScene, Legend, Margin, Up,
+    AspectMode, AspectRatio, Axis, AxisType, Camera, CameraCenter, DragMode3D, Eye, HoverMode, LayoutScene, Legend,
+    Margin, Up,
 };
 use plotly::{Configuration, Layout, Plot, Scatter};
 
@@ -156,6 +157,11 @@ pub(super) fn value_axis(title: &str) -> Axis {
         .grid_color(GRID)
         .zero_line_color("#b6bbc2")
         .zero_line_width(1)
+}
+
+/// A logarithmic value axis: powers of ten, not `10k` beside `100µ`.
+pub(super) fn log_axis(title: &str) -> Axis {
+    value_axis(title).type_(AxisType::Log).exponent_format(ExponentFormat::Power)
 }
 
 /// The frame of every plot: white, with the legend on top.

@@ -152,10 +152,7 @@ fn density(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum) -> Plot 
         .hover_mode(HoverMode::Closest)
         .x_axis(chart::value_axis("Frequency (Hz)").type_(AxisType::Log).range(vec![rounded(low, 3), rounded(high, 3)]))
         .y_axis(
-            chart::value_axis(unit)
-                .type_(AxisType::Log)
-                .range(vec![rounded(top + 6.0 - DEPTH * 0.7, 2), rounded(top + 6.5, 2)])
-                .dtick(1.0),
+            chart::log_axis(unit).range(vec![rounded(top + 6.0 - DEPTH * 0.7, 2), rounded(top + 6.5, 2)]).dtick(1.0),
         )
         .show_legend(false);
     let vertical =

@@ -5,7 +5,7 @@ use super::course::{Channel, Course};
 use super::html::escape;
 use nalgebra::Point3;
 use plotly::common::{Fill, HoverInfo, Line, Marker, Mode, Visible};
-use plotly::layout::{Axis, AxisRange, HoverMode, Margin};
+use plotly::layout::{Axis, HoverMode, Margin};
 use plotly::{Plot, Scatter, Scatter3D};
 
 /// Number of moments at which the 3D plot joins the markers by a line.
@@ -123,7 +123,7 @@ pub(super) fn residuals(course: &Course, view: usize, time: &str) -> Plot {
 
 /// Colour separation in one view.
 pub(super) fn separation(course: &Course, view: usize, time: &str) -> Plot {
-    let axis = chart::value_axis("separation").range(AxisRange::from(vec![0.0, 1.25])).dtick(0.25);
+    let axis = chart::value_axis("separation").range_mode(plotly::layout::RangeMode::ToZero).dtick(0.25);
     by_marker(course, time, axis, Mode::Lines, "%{y:.2f}", |marker| Channel::Separation { marker, view })
 }
 

@@ -85,12 +85,17 @@ pub(super) fn picture(jpeg: &[u8], caption: impl Into<Html>) -> String {
     )
 }
 
+/// Numbers in a text that has no hyphens, with a typographic minus.
+pub(super) fn minus(numbers: impl AsRef<str>) -> String {
+    numbers.as_ref().replace('-', "−")
+}
+
 /// With a sign, and a typographic minus.
 pub(super) fn signed(value: f64, digits: usize) -> String {
     let text = format!("{value:+.digits$}");
     // A value that rounds to zero has no sign.
     let zero = text.chars().all(|c| !c.is_ascii_digit() || c == '0');
-    if zero { text.trim_start_matches(['+', '-']).to_owned() } else { text.replace('-', "−") }
+    if zero { text.trim_start_matches(['+', '-']).to_owned() } else { minus(text) }
 }
 
 /// A page around `body`. `title` is text, `body` HTML.

@@ -73,7 +73,7 @@ pub(crate) fn page(name: &str, plan: &Plan) -> String {
         ),
     ];
     let body = format!(
-        "<header><p class=\"kicker\">Catoptra · plan</p><h1>{}</h1></header>\n<dl class=\"key\">\n{}</dl>\n\
+        "<header>\n<p class=\"kind\">Catoptra plan</p>\n<h1>{}</h1>\n</header>\n<dl class=\"key\">\n{}</dl>\n\
          <p>For shapes at rest under currents all over what the coils allow: what the views see of them, and 1σ of \
          what would be measured in one frame. All numbers are of rendered pictures and of the geometry; light, dirt \
          and reflections of the real place come on top.</p>\n{}<h2>What the camera sees at rest</h2>\n{}<h2>The set-up \
@@ -260,10 +260,10 @@ fn shapes(plan: &Plan) -> String {
             let noise = pose.lossless.as_ref().ok();
             let ma = pose.currents_a * 1e3;
             let mut row = vec![
-                format!("{:.0}, {:.0}, {:.0}", ma.x, ma.y, ma.z),
+                page::minus(format!("{:.0}, {:.0}, {:.0}", ma.x, ma.y, ma.z)),
                 trouble(plan, pose).unwrap_or_else(|| "yes".to_owned()),
-                format!("{:.1}", pose.theta_rad.to_degrees()),
-                format!("{:.1}", pose.azimuth_rad.to_degrees()),
+                degrees(pose.theta_rad),
+                degrees(pose.azimuth_rad),
                 number(noise.map(|n| n.theta_rad.to_degrees()), 3),
                 number(pose.video.as_ref().ok().map(|n| n.theta_rad.to_degrees()), 3),
                 number(noise.map(|n| n.tangent_rad.to_degrees()), 3),
@@ -277,5 +277,10 @@ fn shapes(plan: &Plan) -> String {
             row
         })
         .collect();
-    table(2, &heads, &rows)
+    format!("<div class=\"dense\">{}</div>", table(2, &heads, &rows))
+}
+
+/// An angle; one that rounds to zero has no sign.
+fn degrees(rad: f64) -> String {
+    page::signed(rad.to_degrees(), 1).trim_start_matches('+').to_owned()
 }

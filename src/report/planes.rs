@@ -90,9 +90,9 @@ fn course(record: &Motion, own: &RecordFit, output: usize) -> Plot {
 }
 
 fn response(found: &Planes, coils: &[String], output: usize) -> Plot {
-    let axis = |title: &str| chart::value_axis(title).type_(AxisType::Log);
+    let frequency = chart::value_axis("frequency (Hz)").type_(AxisType::Log);
     let title = format!("{} (° / A)", OUTPUTS.get(output).copied().unwrap_or_default());
-    let mut plot = chart::plot(chart::layout().x_axis(axis("frequency (Hz)")).y_axis(axis(&title)));
+    let mut plot = chart::plot(chart::layout().x_axis(frequency).y_axis(chart::log_axis(&title)));
     let frequencies = found.frequencies_hz();
     for (k, coil) in coils.iter().enumerate() {
         for (system, width) in [(&found.full, 0.8), (&found.reduced, 2.2)] {
@@ -111,10 +111,8 @@ fn response(found: &Planes, coils: &[String], output: usize) -> Plot {
 }
 
 fn hankel(found: &Planes) -> Plot {
-    let layout = chart::layout()
-        .x_axis(chart::value_axis("state"))
-        .y_axis(chart::value_axis("singular value").type_(AxisType::Log))
-        .show_legend(false);
+    let layout =
+        chart::layout().x_axis(chart::value_axis("state")).y_axis(chart::log_axis("singular value")).show_legend(false);
     let mut plot = chart::plot(layout);
     let kept = found.reduced.order();
     let shown = found.hankel.iter().take(40).enumerate();

@@ -34,7 +34,7 @@ pub(crate) fn page(
     let measured = || study.runs.iter().filter_map(|run| run.summary.measured.as_ref());
     let (frames, answered) =
         measured().fold((0, 0), |(frames, answered), m| (frames + m.frames, answered + m.theta.answered));
-    let hours = measured().map(|m| m.duration_s).sum::<f64>() / 3600.0;
+    let seconds = measured().map(|m| m.duration_s).sum::<f64>();
     let (lasting, over) = alarms(measured());
     let share = if frames > 0 { 100.0 * answered as f64 / frames as f64 } else { 0.0 };
     let mut body = format!("<header>\n<p class=\"kind\">Catoptra study</p>\n<h1>{}</h1>\n</header>\n", escape(title));
@@ -42,15 +42,24 @@ pub(crate) fn page(
     let cards = [
         card("Runs", study.runs.len().to_string(), format!("{tracked} with results"), false),
         card("Without results", bad.to_string(), format!("{failed} failed, {unusable} unusable"), bad > 0),
-        card("Frames", frames.to_string(), format!("{hours:.2} hours of recording"), false),
+        card("Frames", frames.to_string(), format!("{} of recording", spent(seconds)), false),
         card("θ known", format!("{share:.2} %"), "of all frames", false),
         card(
             "Drift alarms",
             (lasting + over).to_string(),
-            if over > 0 { format!("{over} of them ended") } else { "the rig is not as calibrated".to_owned() },
+            match (lasting, over) {
+                (0, 0) => "no rig is seen to have moved".to_owned(),
+                (_, 0) => "the rig is not as calibrated".to_owned(),
+                (_, over) => format!("{over} of them ended"),
+            },
             lasting + over > 0,
         ),
-        card("Stand out", unusual.len().to_string(), plural(unusual.len(), "run"), !unusual.is_empty()),
+        card(
+            "Stand out",
+            unusual.len().to_string(),
+            format!("of {}", plural(study.runs.len(), "run")),
+            !unusual.is_empty(),
+        ),
     ];
     body += &format!("<dl class=\"key\">\n{}</dl>\n", cards.concat());
     body += &failures(study, folder);
@@ -67,6 +76,15 @@ pub(crate) fn page(
     body += &format!("<h2>What was made</h2>\n{}", facts_table(settings));
     body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
     page::page(title, &body)
+}
+
+/// A time in the unit that suits it.
+fn spent(seconds: f64) -> String {
+    match seconds {
+        s if s < 120.0 => format!("{s:.1} seconds"),
+        s if s < 7200.0 => format!("{:.1} minutes", s / 60.0),
+        s => format!("{:.1} hours", s / 3600.0),
+    }
 }
 
 /// Drift alarms of runs: those that lasted, and those that ended.
@@ -92,10 +110,9 @@ fn failures(study: &Study, folder: &Path) -> String {
 
 /// Runs that are not in the tables.
 fn unfinished(study: &Study) -> String {
-    let begun = study
-        .unfinished
-        .iter()
-        .map(|folder| format!("{}: has no summary.json: not finished, or not of track", folder.display()));
+    let begun = study.unfinished.iter().map(|folder| {
+        format!("{}: has no summary.json, which a run writes last: it was not finished", folder.display())
+    });
     let unread = study.left_out.iter().map(ToString::to_string);
     let rows: Vec<Vec<Html>> = begun.chain(unread).map(|text| vec![Html::wrapped(&text)]).collect();
     match rows.is_empty() {
@@ -154,7 +171,7 @@ fn group(name: &str, study: &Study, standing: &BTreeSet<usize>, of: &dyn Fn(&Run
             median(values).map_or("–".to_owned(), |v| format!("{v:.digits$}"))
         };
         let end = |pick: fn(f64, f64) -> f64, get: fn(&Measured) -> Option<f64>| {
-            measured().filter_map(get).reduce(pick).map_or("–".to_owned(), |v| format!("{v:.1}°"))
+            measured().filter_map(get).reduce(pick).map_or("–".to_owned(), |v| page::minus(format!("{v:.1}°")))
         };
         let (lasting, over) = alarms(measured());
         let failed = runs.iter().filter(|(_, run)| run.summary.outcome != Outcome::Tracked).count();

@@ -192,7 +192,7 @@ fn error_budget(sources: &[Contribution]) -> String {
     format!(
         "<p>The error budget, 1σ, typical of this run. Noise averages out over frames, the rest is there in all of \
          them alike; what time stamps add matters to dynamics only.</p>\n{}",
-        table(1, &["Source of error", "θ (°)", "Tip in the base frame (mm)"], &rows)
+        table(1, &["Source of error", "θ (°)", "Tip, a coordinate in the base frame (mm)"], &rows)
     )
 }
 

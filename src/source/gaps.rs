@@ -9,7 +9,8 @@
 //!
 //! Assumptions: less than half of the frames are lost where no rate is declared; the rate holds for half a window
 //! (after a change to a slower rate the steps count as losses until the median has adapted). Where no rate is declared,
-//! the first eight steps cannot be judged and count as without loss.
+//! the first eight steps cannot be judged and count as without loss, and where one is declared those before the first
+//! step of that length: a header may state 60 frames per second and the recording have every eighth.
 //!
 //! A recording of truly variable rate has no period: where more than a quarter of the steps are not whole multiples of
 //! the median, only steps over [`GAP_MEDIANS`] medians are counted, in medians. What this cannot detect: frames lost
@@ -115,6 +116,7 @@ impl GapCounter {
         let lost = |period_ns: f64| (step_ns as f64 / period_ns).round() - 1.0;
         let gap = match rhythm {
             Rhythm::Unknown => 0.0,
+            Rhythm::Steady { .. } if !self.is_confirmed() => 0.0,
             Rhythm::Steady { period_ns } => lost(period_ns),
             Rhythm::Varying { median_ns } if step_ns as f64 > GAP_MEDIANS * median_ns => lost(median_ns),
             Rhythm::Varying { .. } => 0.0,
@@ -151,6 +153,12 @@ impl GapCounter {
             }
         }
         Rhythm::Steady { period_ns: time_ns / periods }
+    }
+
+    /// Whether a step of the declared length was seen, or the declared period is not relied on any more.
+    fn is_confirmed(&self) -> bool {
+        let single = |period_ns| self.steps_ns.iter().any(|&step_ns| self.periods(step_ns, period_ns) == Some(1.0));
+        self.steps_ns.len() >= DECLARED_STEPS || self.declared_ns.is_none_or(single)
     }
 
     /// Steps judged so far, at most [`WINDOW`].
@@ -252,7 +260,7 @@ mod tests {
         // Declared 60, delivered 30: the camera's period is 33 ms once that is clear.
         let mut counter = GapCounter::new(Some(1e9 / 60.0), 1e6);
         let thirty = gaps(&mut counter, (0..100).map(|f| sixty(2 * f)));
-        assert!(thirty[10..].iter().all(|&g| g == 0), "{thirty:?}");
+        assert!(thirty.iter().all(|&g| g == 0), "{thirty:?}");
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! The error budget of a run: the contribution of each source of error to θ and to the tip in the base frame, 1σ,
-//! typical of the run.
+//! The error budget of a run: the contribution of each source of error to θ and to a coordinate of the tip in the base
+//! frame, on average over the three, 1σ, typical of the run.
 //!
 //! - *image noise*: median over the frames of the tracker's own σ, for one frame. It averages out over frames; the
 //!   others do not.
@@ -23,12 +23,13 @@ const MAX_MOMENTS: usize = 256;
 /// Clock of stamps that give the arrival of a frame, not its exposure.
 const ARRIVAL: &str = "host_arrival";
 
-/// A source of error, and its contribution to θ, radians, and to the tip, metres (root of the trace).
+/// A source of error, and its contribution to θ, radians, and to a coordinate of the tip, metres: on average over the
+/// three, as every σ of a place is given.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contribution {
     /// What it is.
     pub name: &'static str,
-    /// θ and tip, or why they are unknown.
+    /// θ and a coordinate of the tip, or why they are unknown.
     pub share: Result<(f64, f64), String>,
 }
 
@@ -115,10 +116,11 @@ impl BudgetData {
     pub(super) fn budget(&self, noise: Option<(f64, f64)>, clock: &str) -> Option<Vec<Contribution>> {
         let rig = self.rig.as_ref()?;
         let (theta_rad, tip_m) = noise?;
-        let of_calibration =
-            share(rig, &self.poses).map(|own| (own.theta_rad.0, own.tip_m.0)).map_err(|why| why.to_string());
+        let of_calibration = share(rig, &self.poses)
+            .map(|own| (own.theta_rad.0, of_coordinate(own.tip_m.0)))
+            .map_err(|why| why.to_string());
         Some(vec![
-            Contribution { name: "image noise, one frame", share: Ok((theta_rad, tip_m * 3.0_f64.sqrt())) },
+            Contribution { name: "image noise, one frame", share: Ok((theta_rad, tip_m)) },
             Contribution { name: "calibration", share: of_calibration },
             Contribution { name: "base frame", share: self.of_base(rig) },
             Contribution { name: "time stamps", share: self.of_stamps(clock) },
@@ -140,7 +142,7 @@ impl BudgetData {
             by_turn.transpose().component_mul(&axes_rad).norm_squared()
         };
         let mean = |of: &dyn Fn(&CatheterPose) -> f64| self.poses.iter().map(of).sum::<f64>() / count;
-        Ok((mean(&of_theta).sqrt(), (origin_m.norm_squared() + mean(&of_turn)).sqrt()))
+        Ok((mean(&of_theta).sqrt(), of_coordinate((origin_m.norm_squared() + mean(&of_turn)).sqrt())))
     }
 
     fn of_stamps(&self, clock: &str) -> Result<(f64, f64), String> {
@@ -157,11 +159,16 @@ impl BudgetData {
         }
         let rms = |sum: f64| (sum / count as f64).max(0.0).sqrt();
         let sd_s = self.step_ns as f64 * 1e-9 / 12.0_f64.sqrt();
-        Ok((rms(theta) * sd_s, rms(tip) * sd_s))
+        Ok((rms(theta) * sd_s, of_coordinate(rms(tip) * sd_s)))
     }
 }
 
-/// All known contributions combined: θ, radians, and tip, metres.
+/// σ of a coordinate, on average over the three, of an error that is this large in space.
+fn of_coordinate(trace_root_m: f64) -> f64 {
+    trace_root_m / 3.0_f64.sqrt()
+}
+
+/// All known contributions combined: θ, radians, and a coordinate of the tip, metres.
 pub fn together(sources: &[Contribution]) -> (f64, f64) {
     let squares = sources.iter().filter_map(|source| source.share.as_ref().ok());
     let (theta, tip) = squares.fold((0.0, 0.0), |sum, own| (sum.0 + own.0 * own.0, sum.1 + own.1 * own.1));
@@ -194,7 +201,10 @@ mod tests {
     fn stamps_as_regular_as_the_frames_do_not_show_their_resolution() {
         let of = |stamps: &[i64]| data(stamps).of_stamps("container");
         let (theta_rad, tip_m) = of(&[0, 17_000_000, 33_000_000, 50_000_000]).unwrap();
-        assert!((theta_rad - 1e-3 / 12.0_f64.sqrt()).abs() < 1e-9 && (tip_m - 2.0 * theta_rad).abs() < 1e-9);
+        assert!(
+            (theta_rad - 1e-3 / 12.0_f64.sqrt()).abs() < 1e-9
+                && (tip_m - 2.0 / 3.0_f64.sqrt() * theta_rad).abs() < 1e-9
+        );
         // 50 frames per second, of which two are lost.
         let regular = of(&[3_000_000, 23_000_000, 83_000_000, 103_000_000]).unwrap_err();
         assert_eq!(regular, "all stamps are multiples of the frame interval: their resolution does not show");

@@ -391,3 +391,25 @@ fn a_disk_that_is_full_for_one_run_stops_that_run_only_and_it_may_pass() {
     ended_with(&archive.track("--resume"), 0);
     assert_eq!(archive.summary("circle")["outcome"], "tracked");
 }
+
+#[test]
+fn one_recording_that_is_resumed_stays_in_its_folder() {
+    let archive = Archive::new();
+    let recording = sample("rest.mkv");
+    let words = format!("track {} --rig rig.toml --to 0.02 -o out", recording.display());
+    ended_with(&archive.run(&words), 0);
+    let undisturbed = fs::read(archive.path("out/track.csv")).unwrap();
+    // As after a kill: no summary, and a table that ends in the middle of a row.
+    fs::remove_file(archive.path("out/summary.json")).unwrap();
+    fs::write(archive.path("out/track.csv"), &undisturbed[..undisturbed.len() / 2]).unwrap();
+    let planned = archive.run(&format!("{words} --resume --dry-run"));
+    assert!(stdout(&planned).contains("track\tout\tbegun and not finished"), "{}", stdout(&planned));
+    ended_with(&archive.run(&format!("{words} --resume")), 0);
+    assert_eq!(fs::read(archive.path("out/track.csv")).unwrap(), undisturbed);
+    assert_eq!(names(&archive.path("out")), ["log.mcap", "report.html", "run.toml", "summary.json", "track.csv"]);
+    // And now there is nothing left to do.
+    let again = archive.run(&format!("{words} --resume"));
+    assert!(stdout(&again).contains("1 skipped"), "{}", stdout(&again));
+    let refused = archive.run(&format!("{words} --resume --csv=else.csv"));
+    assert!(ended_with(&refused, 2).contains("--csv does not go with --resume"));
+}

@@ -138,8 +138,12 @@ def review(page):
     expect(page.locator("#frame")).not_to_contain_text("is being read")
     page.keyboard.press("v")
     page.keyboard.type("<b>a hand</b>")
-    page.get_by_role("button", name="Veto this frame").click()
+    page.keyboard.press("Enter")
     expect(page.locator("#vetoes")).to_contain_text("frame 7: <b>a hand</b>")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#frame")).to_contain_text("frame 8")
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("#frame")).to_contain_text("vetoed: <b>a hand</b>")
     assert page.locator("#vetoes b").count() == 0, "a comment became markup"
 
 
@@ -226,10 +230,11 @@ def main():
                 page.fill("#comment", "it was another frame")
                 page.get_by_role("button", name="Take the veto back").click()
                 expect(page.locator("#vetoes")).to_have_text("")
-            # A tablet held upright.
-            page.set_viewport_size({"width": 800, "height": 1200})
-            page.wait_for_timeout(200)
-            small += small_text(page)
+            # A tablet held upright, and phones.
+            for width, height in ((800, 1200), (390, 844), (320, 700)):
+                page.set_viewport_size({"width": width, "height": height})
+                page.wait_for_timeout(200)
+                small += small_text(page)
             assert not small, small
             problems += own
             page.close()

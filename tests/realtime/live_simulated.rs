@@ -59,6 +59,23 @@ fn a_simulated_camera_is_tracked_to_the_truth_of_the_recording_and_logs_a_list_o
 }
 
 #[test]
+fn a_live_run_is_collected_like_any_other() {
+    let folder = tempfile::tempdir().unwrap();
+    good(&catoptra(folder.path(), &["live", "sim:rest", "--duration", "2s", "--fps", "8", "-o", "live"]));
+    let text = std::fs::read_to_string(folder.path().join("live/summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!((&summary["outcome"], &summary["name"]), (&"tracked".into(), &"live".into()));
+    assert_eq!(summary["recording"], "sim:rest");
+    assert!(summary["sha256"]["recording"].is_null() && summary["sha256"]["rig"].is_string(), "{text}");
+    let mut collect = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    let collected = collect.current_dir(folder.path()).args(["collect", "live", "-o", "study"]).output().unwrap();
+    good(&collected);
+    let said = String::from_utf8(collected.stdout).unwrap();
+    let frames = summary["measured"]["frames"].as_u64().unwrap();
+    assert!(frames > 1 && said.starts_with(&format!("1 run, {frames} frames")), "{said}");
+}
+
+#[test]
 fn frames_that_cannot_be_rendered_in_time_are_lost_and_counted() {
     let folder = tempfile::tempdir().unwrap();
     good(&catoptra(

@@ -24,6 +24,8 @@ use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3xX, Point3, Translation3, Uni
 
 /// Points along each side of the working volume.
 const PLACES: usize = 5;
+/// σ of a distance taken with a tape, metres: one known as well is not suggested again.
+const TAPE_SD_M: f64 = 2e-3;
 
 /// Expected errors at one point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -289,9 +291,14 @@ struct Candidate {
 
 fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]) -> Vec<Candidate> {
     let mut list = Vec::new();
-    for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate() {
+    let measured = |known: &Prior| match known {
+        Prior::Distance { surface, sd_m, .. } if *sd_m <= TAPE_SD_M => Some(*surface),
+        _ => None,
+    };
+    let is_measured = |wall: usize| solution.known.iter().filter_map(measured).any(|surface| surface == wall);
+    for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate().filter(|(wall, _)| !is_measured(*wall)) {
         let distance_m = solution.geometry.value(Parameter::Offset { surface }).abs();
-        let known = Prior::Distance { surface, distance_m, sd_m: 2e-3 };
+        let known = Prior::Distance { surface, distance_m, sd_m: TAPE_SD_M };
         let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
         let information = rows.iter().map(|row| &row.by_geometry * row.by_geometry.transpose());
         let none = DMatrix::zeros(solution.free.len(), solution.free.len());

@@ -4,6 +4,7 @@
 mod lens;
 
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
+use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::camera::{LensModel, calibrate_camera};
 use crate::calibrate::geometry::{Geometry, Projector};
 use crate::calibrate::rig::expected_error::verdict;
@@ -223,6 +224,20 @@ fn errors(truth: &Geometry, found: &Geometry, places: &[Point3<f64>]) -> (Vec<f6
     let rest = &all - rigid * motion;
     let norms = |v: &DVector<f64>| (0..places.len()).map(|i| v.rows(3 * i, 3).norm()).collect();
     (norms(&all), norms(&rest))
+}
+
+#[test]
+fn a_distance_is_suggested_until_it_is_known_as_well() {
+    let mut found = calibrated(&beside_the_tank(), 1000);
+    let surface = found.solution.geometry.surfaces.iter().position(|(name, _)| name == "front_wall").unwrap();
+    let mut is_suggested = |sd_m: Option<f64>| {
+        let known = &mut found.solution.known;
+        known.retain(|known| !matches!(known, Prior::Distance { .. }));
+        known.extend(sd_m.map(|sd_m| Prior::Distance { surface, distance_m: 1.0, sd_m }));
+        let judged = verdict(&found.solution, &found.corners, &board().centred_points()).unwrap();
+        judged.helpful.iter().any(|suggestion| suggestion.what.contains("the distance of front_wall"))
+    };
+    assert_eq!([None, Some(5e-3), Some(2e-3)].map(&mut is_suggested), [true, true, false]);
 }
 
 /// The verdict's claim: over many calibrations of each rig, actual errors equal predicted ones.

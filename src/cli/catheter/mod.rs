@@ -226,7 +226,11 @@ impl ReachArgs {
         for (axis, (low, high)) in ["x", "y", "z"].iter().zip(least.iter().zip(most.iter())) {
             let _ = writeln!(text, "  tip {axis}    {:.1} mm to {:.1} mm", low * 1e3, high * 1e3);
         }
-        let _ = writeln!(text, "  a surface: a moment along B0 moves nothing (thickness {:.0e})", found.thickness);
+        let _ = writeln!(
+            text,
+            "  a surface: a moment along B0 moves nothing (across by along it: {:.0e})",
+            found.thickness
+        );
         if found.without_shape > 0 {
             let _ = writeln!(
                 text,

@@ -7,11 +7,14 @@ mod status;
 
 use super::camera::{SourceArgs, positive};
 use super::results::{unique_text, whole_path};
-use super::run::folder::{Files, Run};
+use super::run::finished::{self, FinishedRun};
+use super::run::folder::{self, Files, Run};
 use super::run::{LogFor, Logged, Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
 use super::studio::{self, Listen};
 use super::units::seconds;
+use super::warned::Work;
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
+use crate::archive::{Hashes, Measured, early_end, hash};
 use crate::estimate::Spot;
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordSwitch, Until};
 use crate::pipeline::End;
@@ -25,6 +28,7 @@ use crate::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
 use simulated::Simulated;
 use status::StatusLine;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::ErrorKind;
 use std::net::{SocketAddr, ToSocketAddrs as _};
@@ -32,7 +36,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::Receiver;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Free space reserved for the log, gigabytes: more than an hour at 60 Hz.
 const KEEP_FREE_GB: f64 = 2.0;
@@ -92,7 +96,7 @@ pub(crate) struct Args {
         requires = "record", hide = true, allow_negative_numbers = true,
     )]
     keep_free: Option<f64>,
-    /// Stop after T seconds
+    /// Stop after this time, as 90s or 10min; without a unit it is seconds
     #[arg(long, value_name = "T", value_parser = seconds, allow_negative_numbers = true)]
     duration: Option<Duration>,
     /// Frame of table and report: base or camera
@@ -181,33 +185,62 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let mut line = StatusLine::new(&args.source, &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
     let show = |status: &live::Status| line.show(status);
-    let live = live::run(source, tracker, pool, outputs, clock, &until, show)
+    let (began, work) = (Instant::now(), Work::new());
+    let live = work
+        .within(|| live::run(source, tracker, pool, outputs, clock, &until, show))
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(line);
     // 4. the result
     if let Some(sources) = live.run.tally.budget() {
         files.add_budget_or_warn(&run, &sources);
     }
-    conclude(args, live, &files, &rig, quiet)
-}
-
-/// Prints the summary; an error when rows are missing, no frame came, or the run ended badly.
-fn conclude(args: &Args, live: LiveSummary, files: &Files, rig: &Rig, quiet: bool) -> Result<(), Failure> {
+    let mut text = String::new();
+    summary::summary(&mut text, &args.source, &live.run, &files, &rig)
+        .and_then(|()| text.write_str(&lines(&live, args.record.is_some())))
+        .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
+    let views: Vec<String> = rig.views.iter().map(|view| view.name.clone()).collect();
+    let measured = Some((Measured::of(&live.run, &views), early_end(&live.run.end)));
+    let unusable = no_frame(args, &live).or_else(|| summary::unusable(&rig, &live.run.tally));
+    let unusable = unusable.map(|why| Failure::new(Exit::Unusable, why));
+    let verdict = work.within(|| verdict_of(args, &rig, live));
+    let failure = match &verdict {
+        // Being stopped is how a live run ends.
+        Err(failure) if failure.exit() == Exit::Interrupted => unusable.as_ref(),
+        verdict => verdict.as_ref().err(),
+    };
+    let options = args.named();
+    let hashes = Hashes {
+        recording: None,
+        rig: Some(hash::of_bytes(rig_toml.as_bytes())),
+        options: finished::hash_of(&options),
+        program: hash::of_program().ok(),
+    };
+    let (name, columns, warned) = (folder::name(&files.folder), BTreeMap::new(), (Vec::new(), work.warned()));
+    let over = FinishedRun { name, run, options, columns, hashes, measured, warned, began, repeatable: false };
+    let saved = over.summary(&files, failure).and_then(|summary| match summary {
+        Some(summary) => finished::save(&summary, &files.folder),
+        None => Ok(()),
+    });
     if !quiet {
-        let mut text = String::new();
-        summary::summary(&mut text, &args.source, &live.run, files, rig)
-            .and_then(|()| text.write_str(&lines(&live, args.record.is_some())))
-            .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         output::print(&text)?;
     }
+    verdict.and(saved)
+}
+
+/// What to say when there was nothing to track to the end.
+fn no_frame(args: &Args, live: &LiveSummary) -> Option<String> {
+    (live.run.tally.frames == 0).then(|| format!("{}: no frame was received", args.source))
+}
+
+/// An error when rows are missing, no frame came, or the run ended badly.
+fn verdict_of(args: &Args, rig: &Rig, live: LiveSummary) -> Result<(), Failure> {
     let missing = [("frames", live.unlogged_frames), ("samples of currents", live.unlogged_currents)];
     let missing: Vec<_> = missing.iter().filter(|(_, n)| *n > 0).map(|(what, n)| format!("{what}: {n}")).collect();
     if !missing.is_empty() {
         let text = format!("missing in the files, because the disk was too slow: {}", missing.join(", "));
         return Err(Failure::new(Exit::Failed, text));
     }
-    if live.run.tally.frames == 0 && matches!(live.run.end, End::Complete) {
-        let text = format!("{}: no frame was received", args.source);
+    if let Some(text) = no_frame(args, &live).filter(|_| matches!(live.run.end, End::Complete)) {
         return Err(Failure::new(Exit::Unusable, text));
     }
     verdict(&args.source, rig, live.run)
@@ -309,6 +342,18 @@ impl Args {
             profile: self.profile.unusual(),
             tick_led: self.tick_led.map(|spot| spot.to_string()),
         }
+    }
+
+    /// Names and values of the options that results depend on, for `summary.json`.
+    fn named(&self) -> BTreeMap<String, String> {
+        let own = [
+            ("frame", Some(self.frame.word().to_owned())),
+            ("record", self.record.map(|record| record.word().to_owned())),
+            ("profile", self.profile.unusual()),
+            ("tick_led", self.tick_led.map(|spot| spot.to_string())),
+        ];
+        let own = own.into_iter().filter_map(|(name, value)| Some((name, value?)));
+        own.chain(self.from.settings()).map(|(name, value)| (name.to_owned(), value)).collect()
     }
 
     fn info(&self) -> RunInfo {

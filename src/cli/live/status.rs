@@ -63,7 +63,7 @@ impl StatusLine {
         self.last = Instant::now();
         let rate = status.new_frames as f64 / elapsed_s;
         let angle = status.theta_rad.map_or("θ –".to_owned(), |(theta, sd)| {
-            format!("θ {:+.2}° ± {:.2}", theta.to_degrees(), sd.to_degrees())
+            format!("θ {:+.2}° ± {:.2}°", theta.to_degrees(), sd.to_degrees())
         });
         let (seen, markers) = status.markers;
         if let Some(silent) = status.silent.filter(|_| !self.warned_silent) {
@@ -116,7 +116,8 @@ impl StatusLine {
         let short = WARN_AT_S.iter().filter(|limit| left_s < **limit).count();
         if short > self.warned_short {
             self.warned_short = short;
-            tracing::warn!("{}: the disk is full in {:.0} minutes at this rate", self.folder.display(), left_s / 60.0);
+            let minutes = plural((left_s / 60.0).round().max(1.0) as u64, "minute");
+            tracing::warn!("{}: the disk will be full in about {minutes} at this rate", self.folder.display());
         }
     }
 }

@@ -32,7 +32,11 @@ pub(super) struct ExportArgs {
     out: Option<PathBuf>,
 }
 
-pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure> {
+pub(super) fn run(
+    args: &ExportArgs,
+    note: impl Fn(&str),
+    print: impl Fn(&str) -> Result<(), Failure>,
+) -> Result<(), Failure> {
     let rig = Draft::load(&args.rig)?;
     let view = args.view.as_deref();
     let format = match args.format {
@@ -66,7 +70,7 @@ pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure>
             }
             std::fs::write(out, &text)
                 .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", out.display())))?;
-            note(&format!("written: {}, {}", out.display(), described(&rig, format, view)));
+            print(&format!("written: {}, {}\n", out.display(), described(&rig, format, view)))?;
         }
         None => output::print(&text)?,
     }

@@ -54,7 +54,11 @@ impl FromStr for Deviations {
     }
 }
 
-pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure> {
+pub(super) fn run(
+    args: &ImportArgs,
+    note: impl Fn(&str),
+    print: impl Fn(&str) -> Result<(), Failure>,
+) -> Result<(), Failure> {
     can_be_written(&args.out)?;
     let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
     let text = std::fs::read_to_string(&args.file)
@@ -104,8 +108,8 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
              lens's errors"
         }
     };
-    note(&format!("{written}\n{known}"));
-    Ok(())
+    note(known);
+    print(&format!("{written}\n"))
 }
 
 #[cfg(test)]

@@ -58,9 +58,10 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
             let _ = writeln!(super::progress::stderr(), "{text}");
         }
     };
+    let print = |text: &str| if quiet { Ok(()) } else { output::print(text) };
     match &args.command {
         Command::Check { file, recording } => check::run(file, recording.as_deref(), quiet),
-        Command::Export(args) => export::run(args, note),
-        Command::Import(args) => import::run(args, note),
+        Command::Export(args) => export::run(args, note, print),
+        Command::Import(args) => import::run(args, note, print),
     }
 }

@@ -102,6 +102,11 @@ pub(in crate::cli) fn default_folder(recording: &Path) -> PathBuf {
     folder.into()
 }
 
+/// Name of the run whose results are in `folder`.
+pub(in crate::cli) fn name(folder: &Path) -> String {
+    whole_path(folder).file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+}
+
 impl Files {
     /// Files in `folder`, with the table at `table` if given.
     pub(in crate::cli) fn new(folder: &Path, table: Option<&Path>, overlay: bool) -> Self {
@@ -216,7 +221,8 @@ impl Files {
 
     fn add_budget(&self, run: &Run, sources: &[Contribution]) -> Result<(), Failure> {
         let mut text = results::origin(&run.to_toml()?);
-        text += "\n# What each source of error adds to θ and to the tip in the base frame, 1σ.\n[error_budget]\n";
+        text += "\n# What each source of error adds to θ and to a coordinate of the tip in the base frame, 1σ.\n";
+        text += "[error_budget]\n";
         let all = sources.iter().filter_map(|source| Some((source.name, *source.share.as_ref().ok()?)));
         for (name, (theta_rad, tip_m)) in all.chain([("together", together(sources))]) {
             let key = name.split(',').next().unwrap_or(name).replace(' ', "_");

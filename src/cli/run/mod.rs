@@ -1,5 +1,6 @@
 //! Common parts of offline and live tracking: the rig, the files, the end of a run.
 
+pub(super) mod finished;
 pub(super) mod folder;
 mod options;
 pub(super) mod summary;

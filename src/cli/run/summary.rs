@@ -51,7 +51,7 @@ pub(in crate::cli) fn summary(
         row("deflection", tally.theta.answered, tally.theta.median_sd_deg(), "°", range.unwrap_or_default())?;
     }
     if let Some(sources) = tally.budget() {
-        writeln!(out, "\n  error budget, 1σ                 θ         tip, base frame")?;
+        writeln!(out, "\n  error budget, 1σ                 θ      tip, a coordinate")?;
         let line = |name: &str, (theta_rad, tip_m): (f64, f64)| {
             format!("  {name:<26}  {:>8.4}°  {:>10.4} mm", theta_rad.to_degrees(), tip_m * 1e3)
         };
@@ -90,8 +90,15 @@ pub(in crate::cli) fn summary(
         (Some(&files.log), "everything, for Foxglove and programs"),
         (files.pictures.as_ref(), "the pictures, to be tracked again"),
     ];
+    // Every error of a file names it.
+    let failed: Vec<String> = run.sink_failures.iter().map(ToString::to_string).collect();
+    let is_broken = |path: &Path| failed.iter().any(|said| said.contains(&*path.to_string_lossy()));
     for (path, what) in named.into_iter().filter_map(|(path, what)| Some((path?, what))) {
         let on_stdout = path == &files.table && files.table_on_stdout();
+        if !on_stdout && std::fs::metadata(path).is_ok_and(|found| found.is_file() && found.len() == 0) {
+            continue;
+        }
+        let what = if is_broken(path) { "not complete: it could not be written to its end" } else { what };
         let shown = if on_stdout {
             "stdout".into()
         } else {

@@ -2,6 +2,7 @@
 
 use super::super::output;
 use super::super::progress::{Progress, stderr};
+use super::super::run::folder;
 use super::jobs::{Batch, Done, Job};
 use super::options::Options;
 use super::{Args, Exit, Failure, interrupt};
@@ -17,12 +18,16 @@ pub(super) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let interrupt = interrupt::watch()?;
     let began = Instant::now();
     let entries = entries(args)?;
-    let folder = folder(args)?;
+    let folder = results_folder(args)?;
     let jobs = entries
         .into_iter()
-        .map(|(entry, options)| Job { folder: folder.join(&entry.name), entry, options })
+        .map(|(entry, options)| match args.has_folder_for_each() {
+            true => Job { folder: folder.join(&entry.name), entry, options },
+            false => Job { folder: folder.clone(), entry: Entry { name: folder::name(&folder), ..entry }, options },
+        })
         .collect::<Vec<_>>();
-    let (at_once, threads) = shares(args.jobs, args.threads);
+    let jobs_at_once = args.jobs.or((!args.has_folder_for_each()).then_some(1));
+    let (at_once, threads) = shares(jobs_at_once, args.threads);
     let batch = Batch { jobs: &jobs, threads, resume: args.resume, dry_run: args.dry_run, interrupt: &interrupt };
     let mut progress = Progress::of(Some(jobs.len() as u64), "recordings", quiet);
     let mut came = Outcomes::default();
@@ -37,7 +42,9 @@ pub(super) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         return output::print(&came.plan(&jobs));
     }
     if !quiet {
-        output::print(&came.summary(&folder, began.elapsed()))?;
+        let each = if args.has_folder_for_each() { ", a folder for each" } else { "" };
+        let place = format!("{}{each}", folder.display());
+        output::print(&came.summary(&place, began.elapsed()))?;
     }
     came.verdict(interrupt.load(Ordering::Relaxed), jobs.len())
 }
@@ -45,9 +52,11 @@ pub(super) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 /// The recordings, each with its options.
 fn entries(args: &Args) -> Result<Vec<(Entry, Options)>, Failure> {
     if args.csv.is_some() {
-        return Err(Failure::usage(
-            "--csv is for one recording: of many, each has its track.csv in its folder".to_owned(),
-        ));
+        let text = match args.has_folder_for_each() {
+            true => "--csv is for one recording: of many, each has its track.csv in its folder",
+            false => "--csv does not go with --resume and --dry-run, which look for track.csv in the folder of results",
+        };
+        return Err(Failure::usage(text));
     }
     let entries = match &args.manifest {
         Some(file) => Manifest::read(file)
@@ -92,15 +101,16 @@ fn named(sources: &[PathBuf]) -> Result<Vec<Entry>, String> {
     Ok(entries)
 }
 
-/// The parent of all recordings' folders.
-fn folder(args: &Args) -> Result<PathBuf, Failure> {
+/// The parent of all recordings' folders, or the folder of the only one.
+fn results_folder(args: &Args) -> Result<PathBuf, Failure> {
     let refused = |text: String| Err(Failure::usage(text));
-    match &args.out {
-        None => refused("name the folder for the results of all recordings with -o".to_owned()),
-        Some(folder) if folder.exists() && !folder.is_dir() => {
+    match (&args.out, args.sources.as_slice()) {
+        (None, [source]) if !args.has_folder_for_each() => Ok(folder::default_folder(source)),
+        (None, _) => refused("name the folder for the results of all recordings with -o".to_owned()),
+        (Some(folder), _) if folder.exists() && !folder.is_dir() => {
             refused(format!("{}: is a file; choose a folder with -o", folder.display()))
         }
-        Some(folder) => Ok(folder.clone()),
+        (Some(folder), _) => Ok(folder.clone()),
     }
 }
 
@@ -166,7 +176,7 @@ impl Outcomes {
         format!("{text}{run} of {} would be tracked\n", plural(jobs.len(), "recording"))
     }
 
-    fn summary(&self, folder: &Path, took: Duration) -> String {
+    fn summary(&self, place: &str, took: Duration) -> String {
         let Self { tracked, left_out, failed, retryable, frames, .. } = self;
         let took_s = took.as_secs_f64();
         let (recordings, frames) = (plural(*tracked, "recording"), plural(*frames, "frame"));
@@ -181,7 +191,7 @@ impl Outcomes {
         if *failed > 0 {
             text += &format!("{failed} failed, of which {retryable} may succeed when retried\n");
         }
-        text + &format!("results in {}, a folder for each, with summary.json written last\n", folder.display())
+        text + &format!("results in {place}, with summary.json written last\n")
     }
 
     fn verdict(&self, interrupted: bool, all: usize) -> Result<(), Failure> {

@@ -5,10 +5,11 @@
 
 use super::super::provenance;
 use super::super::results::unique_text;
+use super::super::run::finished::{self, FinishedRun};
 use super::super::run::folder::Files;
 use super::super::run::pool;
 use super::super::warned::{Warnings, Work};
-use super::one::{self, FinishedRun, LoadedRig, Request};
+use super::one::{self, LoadedRig, Request};
 use super::options::Options;
 use super::{Exit, Failure};
 use crate::archive::{CurrentInputs, Entry, Hashes, RunSummary, Staleness, hash, is_complete, staleness};
@@ -84,7 +85,8 @@ impl Batch<'_> {
     /// # Errors
     /// When the system cannot start a thread; recordings that fail are reported, and are not an error.
     pub(super) fn run(&self, at_once: usize, mut done: impl FnMut(usize, Done)) -> Result<(), Failure> {
-        let common = Common { program: hash::of_program().ok(), libraries: one::libraries(), rigs: Mutex::default() };
+        let common =
+            Common { program: hash::of_program().ok(), libraries: finished::libraries(), rigs: Mutex::default() };
         let next = AtomicUsize::new(0);
         let pools = (0..at_once.max(1)).map(|_| pool(self.threads)).collect::<Result<Vec<_>, _>>()?;
         std::thread::scope(|scope| {
@@ -135,7 +137,7 @@ impl Batch<'_> {
         let hashes = Hashes {
             recording: recording.as_ref().ok().cloned(),
             rig: rig_hash,
-            options: one::hash_of(&job.options),
+            options: finished::hash_of(&job.options.named()),
             program: common.program.clone(),
         };
         if self.resume || self.dry_run {
@@ -174,7 +176,7 @@ fn with_columns(mut summary: RunSummary, job: &Job) -> Done {
     if summary.manifest != job.entry.columns || summary.name != job.entry.name {
         summary.manifest.clone_from(&job.entry.columns);
         summary.name.clone_from(&job.entry.name);
-        if let Err(failure) = one::save(&summary, &job.folder) {
+        if let Err(failure) = finished::save(&summary, &job.folder) {
             return Done::from(&failure);
         }
     }
@@ -292,17 +294,17 @@ impl Attempt<'_> {
         let warned: Warnings = self.work.warned();
         let over = FinishedRun {
             name: entry.name.clone(),
-            source: &entry.recording,
-            rig,
-            options,
+            run: one::described(&entry.recording, rig, options),
+            options: options.named(),
             columns: entry.columns.clone(),
             hashes: self.hashes,
             measured,
             warned: (rig_warnings, warned),
             began: self.began,
+            repeatable: true,
         };
         let saved = over.summary(files, failure).and_then(|summary| match summary {
-            Some(summary) => one::save(&summary, folder),
+            Some(summary) => finished::save(&summary, folder),
             None => Ok(()),
         });
         match (failure, &saved) {

@@ -6,6 +6,7 @@ mod one;
 mod options;
 
 use super::progress::Progress;
+use super::run::finished::{self, FinishedRun};
 use super::run::folder::{self, Files};
 use super::run::{pool, summary};
 use super::warned::Work;
@@ -13,7 +14,7 @@ use super::{Exit, Failure, interrupt, output, provenance};
 use crate::archive::{Hashes, hash};
 use crate::tally::Tally;
 use clap::builder::RangedU64ValueParser;
-use one::{FinishedRun, LoadedRig, Request};
+use one::{LoadedRig, Request};
 use options::Options;
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -45,10 +46,10 @@ pub(crate) struct Args {
     /// Many recordings: how many at a time [default: cores / threads]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
     jobs: Option<usize>,
-    /// Many recordings: leave out those whose results would be the same
+    /// Leave out recordings whose results would be the same
     #[arg(long)]
     resume: bool,
-    /// Many recordings: say which would be tracked and why, and do nothing
+    /// Say which recordings would be tracked and why, and do nothing
     #[arg(long)]
     dry_run: bool,
 }
@@ -61,9 +62,14 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 }
 
 impl Args {
-    /// Whether results go into a folder for each recording.
+    /// Whether results that exist may be left as they are, or there may be many.
     fn is_batch(&self) -> bool {
-        self.manifest.is_some() || self.sources.len() > 1 || self.jobs.is_some() || self.resume || self.dry_run
+        self.resume || self.dry_run || self.has_folder_for_each()
+    }
+
+    /// Whether results go into a folder for each recording, in OUT; those of a single one go into OUT itself.
+    fn has_folder_for_each(&self) -> bool {
+        self.manifest.is_some() || self.sources.len() > 1 || self.jobs.is_some()
     }
 }
 
@@ -96,7 +102,7 @@ fn single(args: &Args, source: &PathBuf, quiet: bool) -> Result<(), Failure> {
         let hashes = scope.spawn(|| Hashes {
             recording: hash::of_recording(source).ok(),
             rig: Some(hash::of_bytes(rig.toml.as_bytes())),
-            options: one::hash_of(options),
+            options: finished::hash_of(&options.named()),
             program: hash::of_program().ok(),
         });
         let tracked = request.track(ready, &work, &interrupt, watch);
@@ -115,12 +121,13 @@ fn single(args: &Args, source: &PathBuf, quiet: bool) -> Result<(), Failure> {
         }
         Err(failure) => (None, Err(failure)),
     };
-    let name = folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let warned = (rig.warnings.clone(), work.warned());
     let columns = std::collections::BTreeMap::new();
-    let over = FinishedRun { name, source, rig: &rig.file, options, columns, hashes, measured, warned, began };
+    let (name, run) = (folder::name(&folder), one::described(source, &rig.file, options));
+    let options = options.named();
+    let over = FinishedRun { name, run, options, columns, hashes, measured, warned, began, repeatable: true };
     let saved = over.summary(&files, verdict.as_ref().err()).and_then(|summary| match summary {
-        Some(summary) => one::save(&summary, &folder),
+        Some(summary) => finished::save(&summary, &folder),
         None => Ok(()),
     });
     if !quiet && !text.is_empty() {

@@ -3,10 +3,10 @@
 use super::super::results::{unique_text, whole_path};
 use super::super::run::folder::{Files, FolderLock, Run};
 use super::super::run::{Logged, load_rig, open_sinks, rig_of_log, rig_warnings, summary, verdict};
-use super::super::warned::{Warnings, Work};
-use super::super::{Exit, Failure, fitting, provenance};
+use super::super::warned::Work;
+use super::super::{Exit, Failure, fitting};
 use super::options::Options;
-use crate::archive::{Failed, Hashes, Measured, Outcome, RunSummary, SCHEMA, early_end, hash};
+use crate::archive::{Measured, early_end};
 use crate::log::is_log;
 use crate::pipeline::{self, Summary};
 use crate::report::RunInfo;
@@ -16,10 +16,8 @@ use crate::source::{FrameSource as _, SourceOptions};
 use crate::tally::Tally;
 use crate::track::{TrackOptions, Tracker};
 use rayon::ThreadPool;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-use std::time::Instant;
 
 /// A rig, as it was read.
 pub(super) struct LoadedRig {
@@ -186,78 +184,6 @@ pub(super) fn described(source: &Path, rig: &Path, options: &Options) -> Run {
     }
 }
 
-/// A run that is over, for its summary.
-pub(super) struct FinishedRun<'a> {
-    pub(super) name: String,
-    pub(super) source: &'a Path,
-    pub(super) rig: &'a Path,
-    pub(super) options: &'a Options,
-    pub(super) columns: BTreeMap<String, String>,
-    pub(super) hashes: Hashes,
-    /// What was measured, and why the recording ended early.
-    pub(super) measured: Option<(Measured, Option<String>)>,
-    /// Of the rig, then of the run.
-    pub(super) warned: (Vec<String>, Warnings),
-    pub(super) began: Instant,
-}
-
-impl FinishedRun<'_> {
-    /// The summary, to be written last. None of a run that was interrupted: it is not over.
-    ///
-    /// # Errors
-    /// [`Exit::Failed`] when the folder cannot be read.
-    pub(super) fn summary(self, files: &Files, failure: Option<&Failure>) -> Result<Option<RunSummary>, Failure> {
-        let (outcome, failure) = match failure {
-            None => (Outcome::Tracked, None),
-            Some(failure) => match failure.exit() {
-                Exit::Interrupted => return Ok(None),
-                Exit::Unusable => (Outcome::Unusable, Some(Failed { message: failure.message(), retryable: false })),
-                Exit::Failed | Exit::Usage => {
-                    (Outcome::Failed, Some(Failed { message: failure.message(), retryable: failure.is_transient() }))
-                }
-            },
-        };
-        let cannot = |e: std::io::Error| {
-            Failure::because(Exit::Failed, format!("{}: cannot be read: {e}", files.folder.display()), e)
-        };
-        let run = described(self.source, self.rig, self.options);
-        let (mut warnings, Warnings { warnings: own, more }) = self.warned;
-        warnings.extend(own);
-        let (measured, ends_early) = self.measured.map_or((None, None), |(measured, early)| (Some(measured), early));
-        Ok(Some(RunSummary {
-            schema: SCHEMA,
-            name: self.name,
-            outcome,
-            failure,
-            ends_early,
-            recording: run.recording,
-            rig: run.rig,
-            options: self.options.named(),
-            manifest: self.columns,
-            sha256: self.hashes,
-            version: run.version,
-            libraries: libraries(),
-            measured,
-            warnings,
-            more_warnings: more,
-            files: files.written().map_err(cannot)?,
-            finished: provenance::now(),
-            elapsed_s: self.began.elapsed().as_secs_f64(),
-        }))
-    }
-}
-
-/// Writes the summary of a run.
-///
-/// # Errors
-/// [`Exit::Failed`].
-pub(super) fn save(summary: &RunSummary, folder: &Path) -> Result<(), Failure> {
-    let cannot = |e: std::io::Error| {
-        Failure::because(Exit::Failed, format!("{}: the summary cannot be written: {e}", folder.display()), e)
-    };
-    summary.write(folder).map_err(cannot)
-}
-
 /// What was measured, and why the recording ended early; and how the run is to be judged.
 pub(super) fn judged(
     request: &Request<'_>,
@@ -276,17 +202,4 @@ pub(super) fn judged(
 pub(super) fn alarms(recording: String) -> impl FnMut(&Tally) + Send {
     let mut known = 0;
     move |tally| known = summary::new_alarms(tally, &recording, known)
-}
-
-/// SHA-256 of the options, by their names.
-pub(super) fn hash_of(options: &Options) -> Option<String> {
-    serde_json::to_vec(&options.named()).ok().map(|text| hash::of_bytes(&text))
-}
-
-/// Libraries that are exchanged without this program, and that decode and draw.
-pub(super) fn libraries() -> String {
-    let version = ffmpeg_the_third::codec::version();
-    let libav = format!("libavcodec {}.{}.{}", version >> 16, version >> 8 & 0xff, version & 0xff);
-    let opencv = opencv::core::get_version_string().unwrap_or_else(|_| "unknown".to_owned());
-    format!("{libav}, OpenCV {opencv}")
 }

@@ -21,6 +21,8 @@ use std::f64::consts::TAU;
 
 /// Samples in a magnified section.
 const MAGNIFIED: usize = 300;
+/// A model whose largest error is this many times that of the leading one does not widen the axis.
+const RUNS_AWAY: f64 = 8.0;
 /// Least coherence at which dots of the model-free response are shown.
 const COHERENT: f64 = 0.05;
 
@@ -59,9 +61,8 @@ fn with_unit(name: &str, unit: &str) -> String {
 pub(super) fn courses(data: &Data, done: &Shown<'_>, provenance: &Provenance, record: &Record) -> (Plot, Plot, Plot) {
     let kind = Kind::Simulation(provenance.initial_state);
     let (mut whole, mut errors) = (Timeline::default(), Timeline::default());
-    // The axis covers the leading model's errors; those of a diverging model are clipped.
-    let leading = done.leading;
-    let mut largest_left = 0.0_f64;
+    // Largest error of each model.
+    let mut largest_left: Vec<f64> = vec![0.0; done.models.len()];
     let longest = record.segments.iter().max_by_key(|s| s.len());
     for segment in &record.segments {
         let simulated: Vec<Vec<f64>> = done.models.iter().map(|m| output(&m.model, segment, kind)).collect();
@@ -74,13 +75,17 @@ pub(super) fn courses(data: &Data, done: &Shown<'_>, provenance: &Provenance, re
             whole.push(time_s, lost, &all, &[]);
             let error = |value: &Option<f64>| value.zip(all.first().copied().flatten()).map(|(m, y)| y - m);
             let errors_now: Vec<Option<f64>> = all.iter().skip(1).map(error).collect();
-            let roles = done.models.iter().map(|model| Some(model.role));
-            for (_, error) in roles.zip(&errors_now).filter(|(role, _)| *role == leading) {
-                largest_left = largest_left.max(1.15 * error.unwrap_or(0.0).abs());
+            for (largest, error) in largest_left.iter_mut().zip(&errors_now) {
+                *largest = largest.max(error.unwrap_or(0.0).abs());
             }
             errors.push(time_s, lost, &errors_now, &[]);
         }
     }
+    // The axis covers all models but those that run away beside the leading one.
+    let leading = done.models.iter().position(|model| Some(model.role) == done.leading);
+    let of_leading = leading.and_then(|k| largest_left.get(k).copied()).unwrap_or(f64::INFINITY);
+    let near = largest_left.iter().copied().filter(|largest| *largest <= RUNS_AWAY * of_leading);
+    let largest_left = 1.15 * near.fold(0.0, f64::max);
     // A diverging model would flatten all others.
     let largest = record.segments.iter().flat_map(|s| &s.output).fold(0.0_f64, |m, y| m.max(y.abs())) * 1.15;
     let layout = || {
@@ -293,11 +298,10 @@ pub(super) fn orders(done: &Identification, judged: bool) -> Plot {
         if judged { c.simulation.map(|e| e.error_percent) } else { Some(c.mdl) }
     };
     let title = if judged { "Error (% of energy)" } else { "MDL" };
-    let axis = chart::value_axis(title);
     let layout = chart::layout()
         .hover_mode(HoverMode::Closest)
         .x_axis(chart::value_axis("Order (na)").dtick(1.0).zero_line(false))
-        .y_axis(if judged { axis.type_(AxisType::Log) } else { axis });
+        .y_axis(if judged { chart::log_axis(title) } else { chart::value_axis(title) });
     let mut plot = chart::plot(layout);
     let mut delays: Vec<usize> = done.candidates.iter().map(|c| c.orders.nk).collect();
     delays.sort_unstable();
@@ -344,7 +348,7 @@ pub(super) fn hankel(reduced: &Reduced, kept: usize) -> Plot {
         .show_legend(false)
         .hover_mode(HoverMode::Closest)
         .x_axis(chart::value_axis("State").dtick(1.0).zero_line(false))
-        .y_axis(chart::value_axis("Hankel singular value").type_(AxisType::Log));
+        .y_axis(chart::log_axis("Hankel singular value"));
     let mut plot = chart::plot(layout);
     let values = reduced.hankel_in_band.as_ref().unwrap_or(&reduced.hankel);
     let stable_kept = kept - reduced.unstable;

@@ -15,7 +15,8 @@ function step(range, count) {
   return [1, 2, 5, 10].map((n) => n * power).find((n) => n >= rough) ?? 10 * power;
 }
 
-const digits = (value, by) => value.toFixed(Math.max(0, Math.min(6, -Math.floor(Math.log10(by) + 1e-9))));
+const digits = (value, by) =>
+  value.toFixed(Math.max(0, Math.min(6, -Math.floor(Math.log10(by) + 1e-9)))).replace("-", "−");
 
 export class Plot {
   /**
@@ -69,7 +70,11 @@ export class Plot {
     context.strokeStyle = css("--line");
     context.fillStyle = css("--quiet");
     context.textAlign = "right";
-    const by = step(high - low, Math.max(2, h / 32));
+    const count = Math.max(2, h / 32);
+    const labels = (by) => Math.floor(high / by) - Math.ceil(low / by) + 1;
+    const wide = step(high - low, count);
+    // One number is no scale.
+    const by = labels(wide) > 1 ? wide : step(high - low, 2 * count);
     for (let v = Math.ceil(low / by) * by; v <= high; v += by) {
       context.globalAlpha = 0.5;
       context.beginPath();

@@ -67,10 +67,17 @@ export class Review {
     this.comment = el("input", {
       class: "grow",
       id: "comment",
-      placeholder: "why this frame should not be trusted",
+      placeholder: "why not to trust it",
+      "aria-label": "why this frame should not be trusted",
       maxLength: 400,
+      onkeydown: (event) => event.key === "Escape" && this.comment.blur(),
     });
-    this.vetoButton = button("Veto this frame", () => this.veto().catch(complain));
+    this.vetoButton = el("button", { type: "submit" }, "Veto this frame");
+    // A form: Enter in the field is the button.
+    const submitted = (event) => {
+      event.preventDefault();
+      this.veto().catch(complain);
+    };
     this.drift = el("div", {});
     const pictures = el("div", { class: "pictures" }, this.stage.element, this.space.element);
     const left = el(
@@ -116,7 +123,7 @@ export class Review {
         "section",
         {},
         el("h2", {}, "Veto"),
-        el("div", { class: "row" }, this.comment, this.vetoButton),
+        el("form", { class: "row", onsubmit: submitted }, this.comment, this.vetoButton),
         el(
           "p",
           { class: "quiet" },
@@ -357,6 +364,8 @@ export class Review {
     const reply = await ask("run/veto", { run: this.path, row, seq, vetoed, comment: this.comment.value });
     this.vetoes = reply.vetoes;
     this.comment.value = "";
+    // Keys step through the frames again.
+    this.comment.blur();
     say(`${vetoed ? "Vetoed" : "Taken back"}: written to ${reply.file} in ${this.path}`);
     this.tell();
     this.plots();

@@ -28,7 +28,7 @@ const KEYS = [
   ["Delete", "take back the picks of the band"],
   ["m", "masks on and off"],
   ["+ − 0", "larger, smaller, whole: picture, plot, scene"],
-  ["v", "veto the frame (Review)"],
+  ["v", "veto the frame, or take the veto back: type the reason, then Enter; Escape goes back (Review)"],
   ["t", "take a picture (Calibrate, with a camera)"],
   ["r", "begin and end recording (Watch)"],
 ];

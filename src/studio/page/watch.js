@@ -258,7 +258,7 @@ export class Watch {
     const silent = status.silent_s === null ? null : `no frame for ${status.silent_s.toFixed(0)} s`;
     const now = silent === null ? last.theta_deg : null;
     const [theta, sd] = now ?? [];
-    this.big.textContent = now ? `θ ${theta.toFixed(2)}° ± ${sd.toFixed(2)}` : `θ – ${silent ?? last.status}`;
+    this.big.textContent = now ? `θ ${theta.toFixed(2)}° ± ${sd.toFixed(2)}°` : `θ – ${silent ?? last.status}`;
     this.big.classList.toggle("bad", !now);
     this.element.dataset.seq = last.seq;
     const ms = (v) => `${v.toFixed(2)} ms`;
