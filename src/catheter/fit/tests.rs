@@ -34,7 +34,7 @@ fn experiment((catheter, delay_s): (Catheter, f64), levels_ma: &[[f64; 3]], accu
     let frames = (60.0 * (1.0 + hold_s * levels_ma.len() as f64)) as u64;
     let times = (0..frames).map(|k| k as f64 / 60.0);
     let moments = record(&catheter, &commands.later(delay_s), Vector3::zeros(), times, accuracy).unwrap();
-    Run { name: format!("seed {seed}"), commands, sightings: seen(&moments, NOISE, seed) }
+    Run { name: format!("seed {seed}"), commands, sightings: seen(&moments, NOISE, seed), bands: catheter.bands }
 }
 
 /// The model's own error is tested elsewhere; here it is the same on both sides, and coarse.

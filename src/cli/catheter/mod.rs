@@ -1,5 +1,6 @@
 //! `catoptra catheter`: what the catheter does for given currents, and which currents make it follow a path.
 
+mod bands;
 mod fit;
 mod run;
 
@@ -261,9 +262,9 @@ impl FollowArgs {
         let mut names = ["desired.csv", "response.csv", "follow.html"].map(str::to_owned).to_vec();
         names.extend(tables.iter().flat_map(|(_, table)| [format!("{table}.csv"), format!("{table}.play")]));
         prepare(&self.out, &names)?;
-        let targets = self.targets()?;
+        let targets = self.targets(catheter.origin_m())?;
         let followed = follow(&catheter, &targets).map_err(failure)?;
-        save(&self.out.join("desired.csv"), &desired(&followed))?;
+        save(&self.out.join("desired.csv"), &desired(&followed, catheter.origin_m()))?;
         for (pause_s, table) in &tables {
             let rows = self.rows(&followed, *pause_s);
             let mut csv = format!("t_s,{a},{b},{c}\r\n");
@@ -313,7 +314,7 @@ impl FollowArgs {
         output::print(&text)
     }
 
-    fn targets(&self) -> Result<Vec<Target>, Failure> {
+    fn targets(&self, origin_m: f64) -> Result<Vec<Target>, Failure> {
         let &[x, y] = self.centre.as_slice() else {
             let text = format!("--centre: {} lengths, expected X,Y such as 28mm,0mm", self.centre.len());
             return Err(Failure::usage(text));
@@ -329,7 +330,7 @@ impl FollowArgs {
                     across(t.cos() * scale, t.sin() * t.cos() * scale)
                 })
                 .collect()),
-            file => from_table(Path::new(file)),
+            file => from_table(Path::new(file), origin_m),
         }
     }
 
@@ -341,8 +342,8 @@ impl FollowArgs {
     }
 }
 
-/// Points of a path, in mm: with z in space, without across the tube.
-fn from_table(file: &Path) -> Result<Vec<Target>, Failure> {
+/// Points of a path, in mm: with z in space, counted from so far from the clamp, without across the tube.
+fn from_table(file: &Path, origin_m: f64) -> Result<Vec<Target>, Failure> {
     let wrong = |what: String| Failure::usage(format!("{}: {what}", file.display()));
     if !file.exists() {
         return Err(wrong("is neither circle nor lemniscate, and no such file".to_owned()));
@@ -363,16 +364,16 @@ fn from_table(file: &Path) -> Result<Vec<Target>, Failure> {
             let missing = || wrong(format!("point {}: a value is missing", k + 1));
             let (x, y) = (at(flat.first(), k).ok_or_else(missing)?, at(flat.get(1), k).ok_or_else(missing)?);
             let Some(height) = &height else { return Ok(Target::Across([x, y])) };
-            Ok(Target::Space(Point3::new(x, y, at(height.first(), k).ok_or_else(missing)?)))
+            Ok(Target::Space(Point3::new(x, y, origin_m + at(height.first(), k).ok_or_else(missing)?)))
         })
         .collect()
 }
 
-/// One period of what the tip does: the desired path of `validate`.
-fn desired(followed: &[Followed]) -> String {
+/// One period of what the tip does, counted from so far from the clamp: the desired path of `validate`.
+fn desired(followed: &[Followed], origin_m: f64) -> String {
     let mut text = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\r\n".to_owned();
     for Followed { shape, .. } in followed {
-        let (p, t) = (shape.tip * 1e3, shape.tangent);
+        let (p, t) = ((shape.tip - Vector3::z() * origin_m) * 1e3, shape.tangent);
         let _ = write!(text, "{:.6},{:.6},{:.6},{:.8},{:.8},{:.8}\r\n", p.x, p.y, p.z, t.x, t.y, t.z);
     }
     text
