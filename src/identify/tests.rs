@@ -122,6 +122,7 @@ fn settings(choice: Choice) -> Settings {
         all_frequencies: false,
         bootstrap: 0,
         repeats: None,
+        commanded: false,
     }
 }
 

@@ -4,6 +4,7 @@ use super::chart::{self, INK, rounded};
 use super::html::escape;
 use super::page::{self, card, facts_table, figure, picture, table};
 use super::scale_drawing::{ScaleDrawing, met};
+use crate::digits::fixed;
 use crate::median::upper_median;
 use crate::simulate::plan::{CalibrationErrorSource, Noise, Plan, Planned};
 use image::codecs::jpeg::JpegEncoder;
@@ -219,6 +220,12 @@ fn tips(plan: &Plan) -> Plot {
     plot
 }
 
+/// -180° is where 180° is.
+fn azimuth(degrees: f64) -> String {
+    let text = fixed(degrees, 1);
+    if text == "-180.0" { text.trim_start_matches('-').to_owned() } else { text }
+}
+
 fn assumptions(plan: &Plan) -> String {
     let catheter = &plan.mount.catheter;
     let rows = [
@@ -262,8 +269,8 @@ fn shapes(plan: &Plan) -> String {
             let mut row = vec![
                 format!("{:.0}, {:.0}, {:.0}", ma.x, ma.y, ma.z),
                 trouble(plan, pose).unwrap_or_else(|| "yes".to_owned()),
-                format!("{:.1}", pose.theta_rad.to_degrees()),
-                format!("{:.1}", pose.azimuth_rad.to_degrees()),
+                fixed(pose.theta_rad.to_degrees(), 1),
+                azimuth(pose.azimuth_rad.to_degrees()),
                 number(noise.map(|n| n.theta_rad.to_degrees()), 3),
                 number(pose.video.as_ref().ok().map(|n| n.theta_rad.to_degrees()), 3),
                 number(noise.map(|n| n.tangent_rad.to_degrees()), 3),

@@ -1,6 +1,7 @@
 //! `catoptra catheter fit`: the catheter's parameters from tracked runs.
 
 use super::super::output::save;
+use super::super::results::unfinished;
 use super::super::units::{duration_s, seconds_ns};
 use super::super::{Exit, Failure, output, provenance};
 use super::bands::{self, Seen};
@@ -152,6 +153,9 @@ impl FitArgs {
     ) -> Result<(Run, Option<Noise>), Failure> {
         let wrong = |problem: &str| Failure::usage(format!("{}: {problem}", file.display()));
         let recording = Recording::read(file)?;
+        if let Some(warning) = unfinished(file) {
+            tracing::warn!("{warning}");
+        }
         if let Some(why) = &recording.cut {
             tracing::warn!("{}: not all of it can be read: {why}", file.display());
         }
