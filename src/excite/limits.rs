@@ -164,6 +164,29 @@ mod tests {
         assert!(back.check(&signal(&[0.05, 0.1])).unwrap_err().to_string().contains("from 0.200 s on"));
     }
 
+    /// What is told is rounded, and must fit.
+    #[test]
+    fn the_amplitude_that_is_told_keeps_the_limit() {
+        let limits = Limits { current_a: 0.1, slew_a_s: Some(2.0) };
+        for resolution in [Resolution::TABLE, Resolution::LIST] {
+            for hz in [3.0, 5.1, 7.7, 8.0] {
+                let chirp = |amplitude_a: f64| {
+                    let wave = |k: i32| amplitude_a * (std::f64::consts::TAU * hz * f64::from(k) / 250.0).sin();
+                    let exact =
+                        Signal { rate: "250".parse().unwrap(), ..signal(&(0..500).map(wave).collect::<Vec<_>>()) };
+                    exact.written_as(resolution)
+                };
+                let told = |amplitude_a: f64| -> f64 {
+                    let message = limits.check(&chirp(amplitude_a)).unwrap_err().to_string();
+                    let after = message.split("an amplitude of ").nth(1).unwrap();
+                    after.split(' ').next().unwrap().parse::<f64>().unwrap() * 1e-3
+                };
+                assert_eq!(limits.check(&chirp(told(0.1))), Ok(()), "{hz} Hz");
+                assert_eq!(told(0.2), 0.1);
+            }
+        }
+    }
+
     #[test]
     fn what_is_clipped_is_told_and_the_rest_is_as_it_was() {
         let limits = Limits { current_a: 0.1, slew_a_s: None };

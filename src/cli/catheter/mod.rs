@@ -20,6 +20,9 @@ use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+/// Up to this size circles were found to have the linearised response (docs/catheter.md).
+const SMALL_M: f64 = 0.5e-3;
+
 /// Arguments of `catoptra catheter`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -310,6 +313,14 @@ impl FollowArgs {
                 plural(far, "point")
             );
         }
+        let size_mm = size_m(&followed) * 1e3;
+        if size_mm > SMALL_M * 1e3 {
+            let _ = writeln!(
+                text,
+                "  response.csv                        is that of small motions; at {size_mm:.1} mm (RMS) the run will \
+                 differ"
+            );
+        }
         let _ = writeln!(text, "\nwritten: {} in {}", names.join(", "), self.out.display());
         output::print(&text)
     }
@@ -367,6 +378,13 @@ fn from_table(file: &Path, origin_m: f64) -> Result<Vec<Target>, Failure> {
             Ok(Target::Space(Point3::new(x, y, origin_m + at(height.first(), k).ok_or_else(missing)?)))
         })
         .collect()
+}
+
+/// Root mean square distance of the tip from its mean.
+fn size_m(followed: &[Followed]) -> f64 {
+    let count = followed.len().max(1) as f64;
+    let mean = followed.iter().map(|f| f.shape.tip.coords).sum::<Vector3<f64>>() / count;
+    (followed.iter().map(|f| (f.shape.tip.coords - mean).norm_squared()).sum::<f64>() / count).sqrt()
 }
 
 /// One period of what the tip does, counted from so far from the clamp: the desired path of `validate`.
