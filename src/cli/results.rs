@@ -203,6 +203,19 @@ impl Results<'_> {
 mod tests {
     use super::*;
 
+    #[test]
+    fn a_run_without_summary_is_not_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+        let table = folder.path().join(TABLE_FILE);
+        assert_eq!(unfinished(&table), None);
+        put(RUN, "command = \"track\"\nrecording = \"/a.mkv\"\nrig = \"/r.toml\"\n");
+        assert!(unfinished(&table).unwrap().contains("is not finished"));
+        assert_eq!(unfinished(&folder.path().join("other.csv")), None);
+        put(SUMMARY, "{}");
+        assert_eq!(unfinished(&table), None);
+    }
+
     fn results<'a>(folder: &'a Path, recordings: &'a [PathBuf], files: &[&str]) -> Results<'a> {
         let inputs = recordings.iter().map(PathBuf::as_path).collect();
         let files = files.iter().map(|name| (*name).to_owned()).collect();

@@ -10,6 +10,7 @@ use super::{Common, failure, prepare};
 use crate::catheter::{
     Accuracy, Catheter, CatheterError, Check, Commands, Fit, FitOptions, Noise, Parameter, Run, Sighting, check, fit,
 };
+use crate::digits::fixed;
 use crate::plural::plural;
 use crate::report::catheter_fit;
 use crate::series::{CurrentTable, Recording};
@@ -232,7 +233,8 @@ impl FitArgs {
         for estimated in &fit.estimated {
             let (unit, scale) = estimated.parameter.unit();
             let (value, sd) = (estimated.value * scale, estimated.sd * scale);
-            let _ = writeln!(text, "  {:<12} {value:>10.4} ± {sd:.4} {unit}", estimated.parameter.name());
+            let value = fixed(value, 4);
+            let _ = writeln!(text, "  {:<12} {value:>10} ± {sd:.4} {unit}", estimated.parameter.name());
         }
         for open in &fit.open {
             let _ = writeln!(text, "  {:<12} not determined", open.parameter.name());
@@ -269,9 +271,9 @@ fn held_too_long(commands: &Commands, last_s: f64) -> Option<String> {
         commands.pauses().map(|(from_s, to_s, _)| to_s - from_s).filter(|s| s.is_finite()).reduce(f64::max)?;
     let held_s = last_s - from_s;
     (held_s > HELD_TOO_LONG.0 * longest_s && held_s > HELD_TOO_LONG.1).then(|| {
-        let [x, y, z] = (held * 1e3).into();
+        let [x, y, z] = <[f64; 3]>::from(held * 1e3).map(|ma| fixed(ma, 1));
         format!(
-            "its last currents ({x:.1}, {y:.1}, {z:.1} mA) are taken to be held from {from_s:.2} s to the run's end at \
+            "its last currents ({x}, {y}, {z} mA) are taken to be held from {from_s:.2} s to the run's end at \
              {last_s:.2} s, no others for longer than {longest_s:.2} s: if they ended before, end the table with a row \
              of zeros"
         )

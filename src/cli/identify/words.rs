@@ -46,7 +46,8 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
             }
         }
         if let Some(zero) = &record.zero {
-            write!(text, "; zero off by {:.3} ± {:.3}°", zero.offset.to_degrees(), zero.sd.to_degrees())?;
+            let (offset, sd) = (fixed(zero.offset.to_degrees(), 3), zero.sd.to_degrees());
+            write!(text, "; zero off by {offset} ± {sd:.3}°")?;
         }
         writeln!(text)?;
     }
