@@ -29,12 +29,15 @@ impl Seen {
         }
         let Some((text, file)) = recorded(run)? else { return Ok(None) };
         let name = format!("the rig in {}", file.display());
-        let rig = Rig::from_toml_str(&text, &file)?;
-        if rig.base.is_none() || rig.markers.iter().any(|marker| marker.centre_m.is_none()) {
-            tracing::warn!("{}: {name} does not say where all bands are (centre_mm)", run.display());
-            return Ok(None);
-        }
-        Ok(Some(Self { name, rig }))
+        let why = match Rig::from_toml_str(&text, &file) {
+            Ok(rig) if rig.base.is_none() || rig.markers.iter().any(|marker| marker.centre_m.is_none()) => {
+                "does not say where all bands are (centre_mm)".to_owned()
+            }
+            Ok(rig) => return Ok(Some(Self { name, rig })),
+            Err(error) => format!("cannot be read ({error})"),
+        };
+        tracing::warn!("{}: {name} {why}", run.display());
+        Ok(None)
     }
 
     /// The bands on `given`, or on the paper's catheter with the rig's lengths; a catheter that has them.
