@@ -123,6 +123,8 @@ mod median;
 
 mod plural;
 
+mod digits;
+
 #[doc(hidden)]
 pub mod fuzz;
 

@@ -51,13 +51,15 @@ impl Default for Accuracy {
 pub struct Moment {
     /// Since the beginning, seconds.
     pub time_s: f64,
+    /// Middle of the base band, or without bands the clamp ([`Catheter::origin_m`]).
+    pub base: Point3<f64>,
     /// Middle of the coil set.
     pub coil: Point3<f64>,
     /// Direction of the tube there, towards the tip; length 1.
     pub tangent: Vector3<f64>,
-    /// End of the tube.
+    /// The tip: end of the tube, or middle of the tip's band ([`Catheter::tip_m`]).
     pub tip: Point3<f64>,
-    /// How fast that moves, m/s.
+    /// How fast the end of the tube moves, m/s.
     pub tip_velocity_m_s: Vector3<f64>,
 }
 
@@ -292,11 +294,17 @@ impl Simulation {
         let coil_m = self.catheter.flexible_m + self.catheter.coil_m / 2.0;
         let from_coil = |at: &&At| (at.arc_m - coil_m).abs();
         let coil = places.iter().min_by(|a, b| from_coil(a).total_cmp(&from_coil(b)));
+        // A place ends a straight link; the last one, the tube.
+        let at = |arc_m: f64| {
+            let end = places.iter().find(|at| at.arc_m >= arc_m).or(places.last());
+            end.map_or_else(Point3::origin, |at| (at.point + at.frame.column(2) * (arc_m - at.arc_m)).into())
+        };
         Moment {
             time_s: self.state.time_s,
+            base: at(self.catheter.origin_m()),
             coil: coil.map_or_else(Point3::origin, |at| at.point.into()),
             tangent: coil.map_or_else(Vector3::z, |at| at.frame.column(2).into_owned()),
-            tip: places.last().map_or_else(Point3::origin, |at| at.point.into()),
+            tip: at(self.catheter.tip_m()),
             tip_velocity_m_s,
         }
     }

@@ -1,7 +1,7 @@
 //! `catheter.toml`: the catheter as a file that people edit. Lengths in mm, moduli in MPa, currents in mA.
 
 use super::error::CatheterError;
-use super::model::{Catheter, CoilSet, Motion, Surroundings, Tube};
+use super::model::{Bands, Catheter, CoilSet, Motion, Surroundings, Tube};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::Deserialize;
 use std::path::Path;
@@ -29,8 +29,11 @@ impl Catheter {
 impl Catheter {
     /// The text of a `catheter.toml`. `heading`: a line for people.
     pub fn to_toml(&self, heading: &str) -> String {
-        let Self { tube, coils, surroundings, motion, .. } = self;
+        let Self { tube, coils, surroundings, motion, bands, .. } = self;
         let depth = surroundings.depth_m.map_or_else(String::new, |m| format!("tank_depth_mm = {:?}\n", m * 1e3));
+        let bands = bands.map_or_else(String::new, |Bands { base_m, tip_m }| {
+            format!("\n[bands]\nbase_mm = {:?}\ntip_mm = {:?}\n", base_m * 1e3, tip_m * 1e3)
+        });
         let vector = |v: &Vector3<f64>| format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z);
         let n = (coils.moment_per_ampere_m2 * 1e6).transpose();
         let rows = n.column_iter().map(|row| format!("    {},\n", vector(&row.into_owned()))).collect::<String>();
@@ -39,7 +42,7 @@ impl Catheter {
              young_mpa = {:?}\nshear_mpa = {:?}\ndensity_kg_m3 = {:?}\nrest_curvature_per_m = {}\n\n\
              [coils]\nlength_mm = {:?}\nmoment_per_ampere_mm2 = [\n{rows}]\nmass_g = {:?}\nvolume_mm3 = {:?}\n\
              limit_ma = {:?}\n\n[surroundings]\nb0_t = {}\ngravity_m_s2 = {}\nfluid_kg_m3 = {:?}\n{depth}\n[motion]\n\
-             damping_s = {:?}\nadded_mass = {:?}\ndrag = {:?}\nlinear_drag_pa_s = {:?}\n",
+             damping_s = {:?}\nadded_mass = {:?}\ndrag = {:?}\nlinear_drag_pa_s = {:?}\n{bands}",
             heading.replace(['\n', '\r'], " "),
             tube.outer_radius_m * 1e3,
             tube.inner_radius_m * 1e3,
@@ -71,6 +74,8 @@ struct Raw {
     coils: RawCoils,
     surroundings: RawSurroundings,
     motion: RawMotion,
+    #[serde(default)]
+    bands: Option<RawBands>,
 }
 
 #[derive(Deserialize)]
@@ -121,9 +126,17 @@ struct RawMotion {
     linear_drag_pa_s: f64,
 }
 
+/// From the clamp to the bands' middles.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawBands {
+    base_mm: f64,
+    tip_mm: f64,
+}
+
 impl Raw {
     fn checked(&self, file: &Path) -> Result<Catheter, CatheterError> {
-        let Self { tube, coils, surroundings, motion } = self;
+        let Self { tube, coils, surroundings, motion, bands } = self;
         let wrong = |key: &'static str, value: String, expected: &'static str| {
             Err(CatheterError::Value { file: file.to_owned(), key, value, expected })
         };
@@ -165,6 +178,15 @@ impl Raw {
             }
             if length_mm > depth_mm {
                 return Err(CatheterError::Tank { file: file.to_owned(), length_mm, depth_mm });
+            }
+        }
+        if let Some(RawBands { base_mm, tip_mm }) = *bands {
+            let coil_mm = tube.flexible_mm..=tube.flexible_mm + coils.length_mm;
+            if !(base_mm >= 0.0 && base_mm < *coil_mm.start()) {
+                return wrong("bands.base_mm", base_mm.to_string(), "a place from the clamp (0) to tube.flexible_mm");
+            }
+            if !(tip_mm > *coil_mm.end() && tip_mm <= coil_mm.end() + tube.tail_mm) {
+                return wrong("bands.tip_mm", tip_mm.to_string(), "a place on the tail, counted from the clamp");
             }
         }
         let moments = coils.moment_per_ampere_mm2;
@@ -215,6 +237,7 @@ impl Raw {
                 drag: motion.drag,
                 linear_drag_pa_s: motion.linear_drag_pa_s,
             },
+            bands: bands.map(|bands| Bands { base_m: mm(bands.base_mm), tip_m: mm(bands.tip_mm) }),
         })
     }
 }
@@ -249,11 +272,13 @@ mod tests {
         let file = folder.path().join("catheter.toml");
         let mut catheter = Catheter::prototype();
         catheter.coils.moment_per_ampere_m2[(0, 1)] = 1e-5;
+        catheter.bands = Some(Bands { base_m: 6e-3, tip_m: 0.11 });
         std::fs::write(&file, catheter.to_toml("of this test")).unwrap();
         let read = Catheter::load(&file).unwrap();
         assert!((read.coils.moment_per_ampere_m2 - catheter.coils.moment_per_ampere_m2).amax() < 1e-15);
         assert!((read.tube.bending_nm2() / catheter.tube.bending_nm2() - 1.0).abs() < 1e-12);
         assert_eq!((read.surroundings, read.motion), (catheter.surroundings, catheter.motion));
+        assert_eq!(read.bands, catheter.bands);
     }
 
     #[test]
@@ -266,6 +291,16 @@ mod tests {
             ("b0_t = [3.0", "b0_t = [3000.0", "expected three numbers, tesla, of 30 T at most"),
             ("tail_mm", "tial_mm", "unknown field `tial_mm`"),
             ("flexible_mm = 82.65", "flexible_mm = 282.65", "the catheter is 319.65 mm long, the tank 267 mm deep"),
+            (
+                "[motion]",
+                "[bands]\nbase_mm = 90.0\ntip_mm = 110.0\n[motion]",
+                "bands.base_mm is 90, expected a place from the clamp (0) to tube.flexible_mm",
+            ),
+            (
+                "[motion]",
+                "[bands]\nbase_mm = 6.0\ntip_mm = 120.0\n[motion]",
+                "bands.tip_mm is 120, expected a place on the tail, counted from the clamp",
+            ),
             (
                 "tank_depth_mm = 267.0",
                 "tank_depth_mm = -1.0",

@@ -48,7 +48,7 @@ pub use follow::{Followed, Target, follow};
 pub use harmonic::{Harmonic, harmonics};
 pub use links::Energy;
 pub use load::Load;
-pub use model::{Catheter, CoilSet, Motion, Surroundings, Tube};
+pub use model::{Bands, Catheter, CoilSet, Motion, Surroundings, Tube};
 pub use reach::{Reach, Reached, reach};
 pub use record::{Noise, Sighting, record, seen};
 pub use sensitivity::Sensitivity;

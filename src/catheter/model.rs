@@ -21,6 +21,18 @@ pub struct Catheter {
     pub surroundings: Surroundings,
     /// What matters while it moves.
     pub motion: Motion,
+    /// Where a tracker's bands are, if it is known.
+    pub bands: Option<Bands>,
+}
+
+/// The bands between which a tracker counts: its base frame has its origin in the base band at rest, and what it calls
+/// the tip is the middle of the tip's band. (That of the coil is in the middle of the coil set.)
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bands {
+    /// From the clamp to the middle of the base band, along the tube, metres.
+    pub base_m: f64,
+    /// To the middle of the tip's band, metres.
+    pub tip_m: f64,
 }
 
 /// A round tube of one material.
@@ -146,12 +158,23 @@ impl Catheter {
             // c_d of a cylinder at Reynolds numbers of some hundred; b after Stokes, 2π R √(2 ρ μ ω), in water at the
             // prototype's lowest frequency, 1.45 Hz. The relaxation time is a guess: nobody has measured it.
             motion: Motion { damping_s: 0.01, added_mass: 1.0, drag: 1.1, linear_drag_pa_s: 0.042 },
+            bands: None,
         }
     }
 
-    /// From the clamp to the tip, metres.
+    /// From the clamp to the end of the tube, metres.
     pub fn length_m(&self) -> f64 {
         self.flexible_m + self.coil_m + self.tail_m
+    }
+
+    /// From the clamp to what is called the tip, metres: the middle of its band, or without bands the end of the tube.
+    pub fn tip_m(&self) -> f64 {
+        self.bands.map_or_else(|| self.length_m(), |bands| bands.tip_m)
+    }
+
+    /// From the clamp to the origin of positions, metres: the middle of the base band, or without bands the clamp.
+    pub fn origin_m(&self) -> f64 {
+        self.bands.map_or(0.0, |bands| bands.base_m)
     }
 
     /// Weight less buoyancy of a metre of tube, N/m; its lumen is full of fluid.

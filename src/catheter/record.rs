@@ -8,14 +8,14 @@ use super::model::Catheter;
 use nalgebra::{Point3, Unit, Vector3};
 use std::f64::consts::TAU;
 
-/// What was seen at one time; base frame with its origin at the clamp.
+/// What was seen at one time; axes of the base frame, origin at the clamp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
     /// Seconds, on the clock of the commands.
     pub time_s: f64,
     /// Middle of the coil set, metres.
     pub coil: Option<Point3<f64>>,
-    /// The tip, metres.
+    /// The tip, metres: end of the tube, or middle of its band ([`Catheter::tip_m`]).
     pub tip: Option<Point3<f64>>,
     /// Direction of the coil set.
     pub tangent: Option<Vector3<f64>>,

@@ -14,7 +14,7 @@ pub struct Shape {
     pub coil: Point3<f64>,
     /// Direction of the tube at the coil set, towards the tip; length 1.
     pub tangent: Vector3<f64>,
-    /// End of the tube.
+    /// The tip: end of the tube, or middle of the tip's band ([`Catheter::tip_m`]).
     pub tip: Point3<f64>,
     /// Moment at the clamp, N·m.
     pub clamp_nm: Vector3<f64>,
@@ -33,12 +33,18 @@ impl Shape {
         let coil_m = catheter.flexible_m + catheter.coil_m / 2.0;
         let tube = &catheter.tube;
         let stiffness = Vector3::new(tube.bending_nm2(), tube.bending_nm2(), tube.torsion_nm2());
-        let from_coil = |section: &&Section| (section.arc_m - coil_m).abs();
-        let coil = sections.iter().min_by(|a, b| from_coil(a).total_cmp(&from_coil(b)));
+        let nearest = |arc_m: f64| {
+            let off = move |section: &Section| (section.arc_m - arc_m).abs();
+            sections.iter().min_by(move |a, b| off(a).total_cmp(&off(b)))
+        };
+        let coil = nearest(coil_m);
+        let tip_m = catheter.tip_m();
+        // Half a millimetre away at most: it bends by less than a micrometre there.
+        let at_tip = |section: &Section| section.point + section.frame * Vector3::z() * (tip_m - section.arc_m);
         Self {
             coil: coil.map_or_else(Point3::origin, |coil| coil.point),
             tangent: coil.map_or_else(Vector3::z, |coil| coil.frame * Vector3::z()),
-            tip: sections.last().map_or_else(Point3::origin, |tip| tip.point),
+            tip: nearest(tip_m).map_or_else(Point3::origin, at_tip),
             clamp_nm: sections.first().map_or_else(Vector3::zeros, |clamp| clamp.moment_nm),
             centre_line: sections.iter().map(|section| (section.arc_m, section.point)).collect(),
             curvatures: sections

@@ -3,6 +3,7 @@
 use super::output::{is_free, is_free_for_page, save};
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
 use super::{Failure, interrupt, output, provenance};
+use crate::digits::fixed;
 use crate::excite::{
     Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Resolution, Signal, Spectrum, Steps, Sweep,
     is_own_table,
@@ -372,7 +373,7 @@ impl StepsArgs {
             common.limits().check_steps(&signal, steps.held_s(common.rate))?;
             common.limits().ramp(&mut signal).into_iter().collect()
         };
-        let levels: Vec<String> = self.levels.iter().map(|level| format!("{:.1}", level * 1e3)).collect();
+        let levels: Vec<String> = self.levels.iter().map(|level| fixed(level * 1e3, 1)).collect();
         let words = match order {
             Order::Staircase => "as given".to_owned(),
             Order::Random { seed } => format!("random, seed {seed}"),

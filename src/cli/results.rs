@@ -4,7 +4,9 @@
 //! replaced; results of others, foreign files, and input files are never touched.
 
 use super::{Exit, Failure};
+use crate::archive::SUMMARY;
 use crate::atomic_file;
+use crate::log::schema::{LOG_FILE, TABLE_FILE};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -65,6 +67,18 @@ pub(super) fn may_write_in(folder: &Path) -> io::Result<()> {
 
 fn cannot_write(path: &Path, why: io::Error) -> Failure {
     Failure::new(Exit::Failed, format!("cannot write to the output folder {}: {why}", path.display()))
+}
+
+/// That the run to which a log or table belongs goes on, or was broken off, if its folder says so.
+pub(super) fn unfinished(file: &Path) -> Option<String> {
+    let is_of_run = [LOG_FILE, TABLE_FILE].iter().any(|name| file.file_name().is_some_and(|own| own == *name));
+    let text = fs::read_to_string(file.with_file_name(RUN)).ok().filter(|_| is_of_run)?;
+    let owner: Owner = toml::from_str(&text).ok()?;
+    let unfinished = owner.command == "track" && !file.with_file_name(SUMMARY).exists();
+    unfinished.then(|| {
+        let file = file.display();
+        format!("{file}: its run is not finished, or was broken off (it has no {SUMMARY} yet): what is there is used")
+    })
 }
 
 /// Refuses to write what is read.
@@ -188,6 +202,19 @@ impl Results<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_run_without_summary_is_not_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+        let table = folder.path().join(TABLE_FILE);
+        assert_eq!(unfinished(&table), None);
+        put(RUN, "command = \"track\"\nrecording = \"/a.mkv\"\nrig = \"/r.toml\"\n");
+        assert!(unfinished(&table).unwrap().contains("is not finished"));
+        assert_eq!(unfinished(&folder.path().join("other.csv")), None);
+        put(SUMMARY, "{}");
+        assert_eq!(unfinished(&table), None);
+    }
 
     fn results<'a>(folder: &'a Path, recordings: &'a [PathBuf], files: &[&str]) -> Results<'a> {
         let inputs = recordings.iter().map(PathBuf::as_path).collect();

@@ -1,7 +1,7 @@
 //! `catoptra validate`: tracked runs along a desired path, to errors and response at each speed.
 
 use super::outcome::{self, Json, Outcome};
-use super::results::Results;
+use super::results::{Results, unfinished};
 use super::units::{duration_s, seconds_ns};
 use super::{Exit, Failure, interrupt, provenance};
 use crate::atomic_file;
@@ -100,6 +100,7 @@ fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
     let saved = args.model.as_deref().map(Saved::read).transpose().map_err(Failure::usage)?;
     let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(Failure::usage)?;
     let path = DesiredPath::read(&args.desired, args.points_per_period, args.periods).map_err(failure)?;
+    args.observed.iter().filter_map(|file| unfinished(file)).for_each(|warning| tracing::warn!("{warning}"));
     let recordings = args
         .observed
         .iter()

@@ -1,5 +1,14 @@
 //! Why a signal cannot be made as requested.
 
+use super::limits::ROUNDING;
+
+/// Milliamperes with one decimal, or what is left of less: never more than it is.
+fn rounded_down_ma(amperes: f64) -> String {
+    // 0.1 is a little more than it looks like.
+    let tenths = (amperes * 1e4 * (1.0 + ROUNDING)).floor();
+    if tenths >= 1.0 { format!("{:.1}", tenths / 10.0) } else { format!("{:.4}", (amperes * 1e7).floor() / 1e4) }
+}
+
 /// Why a signal cannot be made as requested.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(crate) enum ExciteError {
@@ -87,9 +96,12 @@ pub(crate) enum ExciteError {
         rate_hz: f64,
     },
     /// Beyond the limit of current.
-    #[error("the current reaches {:.1} mA at {at_s:.3} s, the limit is {:.1} mA", value_a * 1e3, limit_a * 1e3)]
+    #[error(
+        "the current reaches {:.1} mA, and from {at_s:.3} s on exceeds the limit of {limit} mA: an amplitude of {limit} \
+         mA keeps it", value_a * 1e3, limit = rounded_down_ma(*limit_a)
+    )]
     Current {
-        /// Time of the largest current, seconds.
+        /// Time of the first current beyond the limit, seconds.
         at_s: f64,
         /// The largest current, amperes.
         value_a: f64,
@@ -98,13 +110,13 @@ pub(crate) enum ExciteError {
     },
     /// Beyond the limit of slew.
     #[error(
-        "the current changes by {slew_a_s:.3} A/s at {at_s:.3} s, the limit is {limit_a_s} A/s: an amplitude of {:.1} \
-         mA keeps it{}",
-        fits_a * 1e3,
+        "the current changes by up to {slew_a_s:.3} A/s, and from {at_s:.3} s on exceeds the limit of {limit_a_s} A/s: \
+         an amplitude of {} mA keeps it{}",
+        rounded_down_ma(*fits_a),
         if *.uneven { ", or a rate at which delays are whole ms, such as 250" } else { "" }
     )]
     Slew {
-        /// Time of the largest slew, seconds.
+        /// Time of the first slew beyond the limit, seconds.
         at_s: f64,
         /// The largest slew.
         slew_a_s: f64,

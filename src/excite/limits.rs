@@ -45,18 +45,22 @@ impl Limits {
     /// The first limit that it exceeds, with the time, and for slew the amplitude that would keep it.
     pub(crate) fn check(&self, signal: &Signal) -> Result<(), ExciteError> {
         let beyond = self.current_a * (1.0 + ROUNDING);
-        let largest = signal.values_a.iter().map(|value| value.abs()).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
-        if let Some((at, value_a)) = largest.filter(|(_, value)| *value > beyond) {
-            return Err(ExciteError::Current { at_s: signal.time_s(at), value_a, limit_a: self.current_a });
+        if let Some(first) = signal.values_a.iter().position(|value| value.abs() > beyond) {
+            let (at_s, value_a) = (signal.time_s(first), signal.peak_a());
+            return Err(ExciteError::Current { at_s, value_a, limit_a: self.current_a });
         }
-        let (slew_a_s, at_s) = signal.largest_slew();
-        match self.slew_a_s {
-            Some(limit_a_s) if slew_a_s > limit_a_s * (1.0 + ROUNDING) => {
-                let fits_a = signal.peak_a() * limit_a_s / slew_a_s;
-                let uneven = signal.resolution == Resolution::LIST;
+        let Some(limit_a_s) = self.slew_a_s else { return Ok(()) };
+        let mut beyond = signal.slews().filter(|(slew_a_s, _)| *slew_a_s > limit_a_s * (1.0 + ROUNDING));
+        match beyond.next() {
+            Some((_, first)) => {
+                let (slew_a_s, _) = signal.largest_slew();
+                // Two values rounded to the file's resolution may differ by one step more.
+                let step_a_s = signal.resolution.current_a / signal.interval_s(first);
+                let fits_a = signal.peak_a() * (limit_a_s - step_a_s).max(0.0) / slew_a_s;
+                let (at_s, uneven) = (signal.time_s(first), signal.resolution == Resolution::LIST);
                 Err(ExciteError::Slew { at_s, slew_a_s, limit_a_s, fits_a, uneven })
             }
-            _ => Ok(()),
+            None => Ok(()),
         }
     }
 
@@ -145,14 +149,42 @@ mod tests {
         let limits = Limits { current_a: 0.1, slew_a_s: Some(1.0) };
         assert_eq!(limits.check(&signal(&[0.1, 0.05, -0.05, -0.1])), Ok(()));
         let message = |values: &[f64]| limits.check(&signal(values)).unwrap_err().to_string();
-        assert_eq!(message(&[0.0, 0.11, 0.15]), "the current reaches 150.0 mA at 0.200 s, the limit is 100.0 mA");
+        assert_eq!(
+            message(&[0.0, 0.11, 0.15]),
+            "the current reaches 150.0 mA, and from 0.100 s on exceeds the limit of 100.0 mA: an amplitude of 100.0 mA \
+             keeps it"
+        );
         assert_eq!(
             message(&[0.1, -0.1]),
-            "the current changes by 2.000 A/s at 0.100 s, the limit is 1 A/s: an amplitude of 50.0 mA keeps it"
+            "the current changes by up to 2.000 A/s, and from 0.100 s on exceeds the limit of 1 A/s: an amplitude of 49.9 \
+             mA keeps it"
         );
         // The return to zero counts.
         let back = Limits { slew_a_s: Some(0.5), ..limits };
-        assert!(back.check(&signal(&[0.05, 0.1])).unwrap_err().to_string().contains("at 0.200 s"));
+        assert!(back.check(&signal(&[0.05, 0.1])).unwrap_err().to_string().contains("from 0.200 s on"));
+    }
+
+    /// What is told is rounded, and must fit.
+    #[test]
+    fn the_amplitude_that_is_told_keeps_the_limit() {
+        let limits = Limits { current_a: 0.1, slew_a_s: Some(2.0) };
+        for resolution in [Resolution::TABLE, Resolution::LIST] {
+            for hz in [3.5, 5.1, 7.7, 8.0] {
+                let chirp = |amplitude_a: f64| {
+                    let wave = |k: i32| amplitude_a * (std::f64::consts::TAU * hz * f64::from(k) / 250.0).sin();
+                    let exact =
+                        Signal { rate: "250".parse().unwrap(), ..signal(&(0..500).map(wave).collect::<Vec<_>>()) };
+                    exact.written_as(resolution)
+                };
+                let told = |amplitude_a: f64| -> f64 {
+                    let message = limits.check(&chirp(amplitude_a)).unwrap_err().to_string();
+                    let after = message.split("an amplitude of ").nth(1).unwrap();
+                    after.split(' ').next().unwrap().parse::<f64>().unwrap() * 1e-3
+                };
+                assert_eq!(limits.check(&chirp(told(0.1))), Ok(()), "{hz} Hz");
+                assert_eq!(told(0.2), 0.1);
+            }
+        }
     }
 
     #[test]
@@ -176,7 +208,7 @@ mod tests {
         assert_eq!(limits.check(&exact), Ok(()));
         let mut list = exact.written_as(Resolution::LIST);
         let refused = limits.check(&list).unwrap_err().to_string();
-        assert!(refused.contains("the limit is 4.85 A/s") && refused.contains("whole ms"), "{refused}");
+        assert!(refused.contains("the limit of 4.85 A/s") && refused.contains("whole ms"), "{refused}");
         assert_eq!(limits.clip(&mut list).len(), 1);
         assert_eq!(limits.check(&list), Ok(()));
         // Multiples of 1 µA stay as they are when the list is written.

@@ -121,14 +121,17 @@ impl Signal {
         self.peak_a() / self.rms_a()
     }
 
-    /// Largest slew, amperes per second, and its time: the step from one sample to the next over the time between them.
-    /// The steps from rest and back count.
-    pub(crate) fn largest_slew(&self) -> (f64, f64) {
+    /// Slews, amperes per second, and the samples at which they are: the step from one sample to the next over the time
+    /// between them. The steps from rest and back count.
+    fn slews(&self) -> impl Iterator<Item = (f64, usize)> {
         let before = std::iter::once(&0.0).chain(&self.values_a);
         let after = self.values_a.iter().chain(std::iter::once(&0.0));
-        let slews =
-            before.zip(after).zip(0..).map(|((before, after), k)| ((after - before).abs() / self.interval_s(k), k));
-        let (slew_a_s, k) = slews.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0));
+        before.zip(after).zip(0..).map(|((before, after), k)| ((after - before).abs() / self.interval_s(k), k))
+    }
+
+    /// The largest of them, and its time.
+    pub(crate) fn largest_slew(&self) -> (f64, f64) {
+        let (slew_a_s, k) = self.slews().max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0));
         (slew_a_s, self.time_s(k))
     }
 }

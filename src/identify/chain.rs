@@ -9,6 +9,7 @@ use super::identification::{Fit, Identification};
 use super::initial::initial_models;
 use super::model::Noise;
 use super::model::{Orders, Polynomials, angle};
+use super::model_error::ModelError;
 use super::modelled::{Modelled, Role, bandwidths};
 use super::periodic::{self, Periodic};
 use super::reduce::{Reduced, Reduction, Target, reduce, reduce_in_band};
@@ -83,10 +84,14 @@ pub(crate) fn identify_with_progress(
             refined
         });
     }
+    let mut model_error = None;
     if let Ok(refined) = &refined {
         let Estimated { model, covariance, .. } = &refined.estimated;
+        model_error = ModelError::of(&training, estimated, &refined.estimated, settings.initial_state);
         let title = format!("refined, order {}", model.order());
-        models.push(modelled(Role::Refined, title, model, Some(covariance.clone())));
+        // Its errors are those of its order; a σ of noise would be wrong.
+        let covariance = model_error.is_none().then(|| covariance.clone());
+        models.push(modelled(Role::Refined, title, model, covariance));
     }
     // 5. averaged periods, where the input repeats
     if settings.repeats.is_some() {
@@ -114,6 +119,7 @@ pub(crate) fn identify_with_progress(
         reduced,
         refined,
         other_delays,
+        model_error,
         periodic,
         models,
         fits,
@@ -125,7 +131,7 @@ pub(crate) fn identify_with_progress(
         best_orders: best,
         unstable_in_band,
     };
-    done.diagnostics = diagnostics(data, &done);
+    done.diagnostics = diagnostics(data, &done, settings.commanded);
     Ok(done)
 }
 
@@ -380,7 +386,8 @@ fn intervals(
             Role::Periodic | Role::Given => Vec::new(),
         };
         // The scatter of a biased estimate does not tell its error.
-        if biased && matches!(model.role, Role::Full | Role::Reduced) {
+        let wrong_order = model.role == Role::Refined && model.covariance.is_none();
+        if wrong_order || biased && matches!(model.role, Role::Full | Role::Reduced) {
             continue;
         }
         for (k, estimate) in model.bandwidths.iter_mut().enumerate() {

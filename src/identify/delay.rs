@@ -23,6 +23,7 @@ use super::output_error::{self, Derivatives, derivatives_and_residual, linearise
 use super::regression::solve;
 use super::uncertainty::Covariance;
 use super::zero::{self, Zero};
+use crate::digits::fixed;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -78,7 +79,9 @@ pub(crate) struct Delay {
 impl Delay {
     /// The others in words, milliseconds, if there are any.
     pub(crate) fn others_in_words(&self) -> Option<String> {
-        let others: Vec<String> = self.others_s.iter().map(|other| format!("{:.1}", other * 1e3)).collect();
+        let mut rising = self.others_s.clone();
+        rising.sort_by(f64::total_cmp);
+        let others: Vec<String> = rising.iter().map(|other| fixed(other * 1e3, 1)).collect();
         (!others.is_empty()).then(|| format!("{} ms", others.join(", ")))
     }
 

@@ -3,6 +3,7 @@
 use super::frozen::Frozen;
 use super::jump::Jump;
 use super::model::Orders;
+use super::model_error::ModelError;
 use super::nonlinear::{Element, Nonlinear};
 use super::outliers::Outliers;
 use std::fmt;
@@ -168,8 +169,15 @@ pub enum Diagnostic {
     FedBack {
         /// Lags beyond the bound, and the total number.
         outside: (usize, usize),
-        /// Whether there is a signal that drives the input without that noise.
-        has_instrument: bool,
+        /// How it could have come there.
+        way: WayBack,
+    },
+    /// The refined model's order is too low: it has no σ.
+    ModelError {
+        /// The model.
+        title: String,
+        /// What it and the full model leave.
+        error: ModelError,
     },
     /// There is no reduced model.
     NotReduced {
@@ -228,6 +236,17 @@ pub enum Diagnostic {
         /// Seconds from sample to sample.
         period_s: f64,
     },
+}
+
+/// A way from the output back to the input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WayBack {
+    /// None: the input was commanded.
+    Open,
+    /// There is one, and a signal that drives the input without the output's noise.
+    Instrument,
+    /// Not known.
+    Unknown,
 }
 
 impl fmt::Display for Diagnostic {
@@ -349,25 +368,40 @@ impl fmt::Display for Diagnostic {
             ),
             Self::Coloured { outside: (n, of) } => write!(
                 f,
-                "residuals of the full model are not white ({n} of {of} lags out of the 99 % bound): its standard \
+                "residuals of the full model are not white ({n} of {of} lags outside the 99 % bound): its standard \
                  errors are too small, and it may be biased"
             ),
             Self::Unexplained { outside: (n, of) } => {
                 write!(
                     f,
-                    "residuals of the full model are correlated with the input ({n} of {of} lags out of the 99 % \
+                    "residuals of the full model are correlated with the input ({n} of {of} lags outside the 99 % \
                      bound): it leaves something unexplained"
                 )
             }
-            Self::FedBack { outside: (n, of), has_instrument } => {
+            Self::FedBack { outside: (n, of), way } => {
+                let fed_back = "noise of the output is fed back into it, which biases ARX; compare with";
                 write!(
                     f,
-                    "the input is correlated with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of \
-                     the output is fed back into it, which biases ARX; compare with "
+                    "the input is correlated with earlier residuals ({n} of {of} lags outside the 99 % bound): "
                 )?;
-                // Without an instrument the input would be its own, including the noise.
-                if *has_instrument { write!(f, "--estimator iv") } else { write!(f, "a record without feedback") }
+                match way {
+                    WayBack::Open => write!(
+                        f,
+                        "currents that were commanded know nothing of the output, so that their times are late \
+                         (--delay), or an input that repeats is alike at other lags"
+                    ),
+                    WayBack::Instrument => write!(f, "{fed_back} --estimator iv"),
+                    // Without an instrument the input would be its own, including the noise.
+                    WayBack::Unknown => write!(f, "{fed_back} a record without feedback"),
+                }
             }
+            Self::ModelError { title, error: ModelError { refined_percent, full_percent } } => write!(
+                f,
+                "{title}: its simulation leaves {refined_percent:.2} % of the energy, that of the full model \
+                 {full_percent:.2} %: most of what it leaves is no noise, but what its order cannot do. It has no σ, \
+                 since its coefficients are off by that, and by more than noise explains; the same is true of the \
+                 reduced model. For the gain, raise --reduce"
+            ),
             Self::AtEdge { what, value, option } => write!(
                 f,
                 "{what} {value} is the last that was searched: a better one may lie beyond, search further with \
@@ -410,8 +444,8 @@ impl fmt::Display for Diagnostic {
             ),
             Self::BeyondNoise { left } => write!(
                 f,
-                "the model leaves {left:.2} times of the periods' lines what noise explains: what repeats is not \
-                 linear, or of a higher order (--reduce); σ is widened by its root"
+                "what the model leaves of the periods' lines is {left:.2} times what noise explains: what repeats is not \
+                 linear, or of a higher order (--reduce); σ is widened by the root of that"
             ),
             Self::FewPeriods { periods } => {
                 write!(

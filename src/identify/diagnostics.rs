@@ -2,7 +2,7 @@
 
 use super::continuous::Conversion;
 use super::data::{Data, Record};
-use super::diagnostic::Diagnostic;
+use super::diagnostic::{Diagnostic, WayBack};
 use super::fit::{InitialState, Kind, best_gain};
 use super::frozen::frozen;
 use super::identification::{Fit, Identification};
@@ -46,8 +46,8 @@ pub(super) fn slow(period_s: f64) -> Option<Diagnostic> {
     (period_s > SLOW_S).then_some(Diagnostic::Slow { period_s })
 }
 
-/// All diagnostics about a result.
-pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic> {
+/// All diagnostics about a result. `commanded`: the input was told to the system.
+pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -> Vec<Diagnostic> {
     let mut diagnostics: Vec<Diagnostic> = slow(data.period_s).into_iter().collect();
     for model in &done.models {
         let (title, largest_pole) = (model.title.clone(), model.largest_pole);
@@ -99,7 +99,12 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     diagnostics.extend(against_torque(data, done));
     if let Some(residuals) = &done.residuals {
         let has_instrument = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
-        diagnostics.extend(correlated(residuals, has_instrument));
+        let way = match (commanded, has_instrument) {
+            (true, _) => WayBack::Open,
+            (false, true) => WayBack::Instrument,
+            (false, false) => WayBack::Unknown,
+        };
+        diagnostics.extend(correlated(residuals, way));
     }
     if let Ok(reduced) = &done.reduced
         && let Some(asked) = reduced.asked_for_more
@@ -117,6 +122,9 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
             let (title, nk, others) = (model.title.clone(), model.model.nk, others.to_vec());
             diagnostics.push(Diagnostic::OtherDelays { title, nk, others });
         }
+    }
+    if let Some((model, error)) = done.model(Role::Refined).zip(done.model_error) {
+        diagnostics.push(Diagnostic::ModelError { title: model.title.clone(), error });
     }
     diagnostics.extend(of_periods(done));
     let refined = done.refined.as_ref().ok().map(|r| (Role::Refined, r));
@@ -272,7 +280,7 @@ fn against_torque(data: &Data, done: &Identification) -> Option<Diagnostic> {
     (phase_deg > 90.0).then_some(Diagnostic::AgainstTorque { title, phase_deg, frequency_hz })
 }
 
-fn correlated(residuals: &Residuals, has_instrument: bool) -> Vec<Diagnostic> {
+fn correlated(residuals: &Residuals, way: WayBack) -> Vec<Diagnostic> {
     let mut diagnostics = Vec::new();
     if too_many(residuals.auto_outside()) {
         diagnostics.push(Diagnostic::Coloured { outside: residuals.auto_outside() });
@@ -283,7 +291,7 @@ fn correlated(residuals: &Residuals, has_instrument: bool) -> Vec<Diagnostic> {
     // Unexplained response is correlated with the input at all lags, since the input is autocorrelated: that is no sign
     // of feedback.
     if too_many(residuals.fed_back()) && !too_many(residuals.cross_outside()) {
-        diagnostics.push(Diagnostic::FedBack { outside: residuals.fed_back(), has_instrument });
+        diagnostics.push(Diagnostic::FedBack { outside: residuals.fed_back(), way });
     }
     diagnostics
 }

@@ -4,6 +4,7 @@ use super::diagnostic::Diagnostic;
 use super::estimated::{Estimated, Refined};
 use super::fit::{FitError, Kind};
 use super::model::Orders;
+use super::model_error::ModelError;
 use super::modelled::{Modelled, Role};
 use super::periodic::Periodic;
 use super::reduce::Reduced;
@@ -45,6 +46,8 @@ pub struct Identification {
     pub refined: Result<Refined, String>,
     /// Other delays with which the refined model explains the data about as well, samples (nk), rising.
     pub other_delays: Vec<usize>,
+    /// What the refined model's order cannot do, if that is more than noise: it then has no σ.
+    pub model_error: Option<ModelError>,
     /// The model of the lines of averaged periods, if the input was declared to repeat.
     pub periodic: Option<Periodic>,
     /// The models: full, then reduced, refined and periodic where they are.

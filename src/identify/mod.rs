@@ -31,6 +31,7 @@ pub(crate) mod grid;
 pub(crate) mod prepare;
 
 pub(crate) mod model;
+mod model_error;
 pub(crate) mod regression;
 
 pub(crate) mod arx;

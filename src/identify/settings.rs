@@ -53,6 +53,8 @@ pub struct Settings {
     /// Declares that the input of the fitted data repeats: its periods are then also averaged, and a model is fitted to
     /// their lines.
     pub repeats: Option<Repeats>,
+    /// Whether the input was told to the system: nothing of the output can be in it.
+    pub commanded: bool,
 }
 
 impl Estimator {

@@ -112,7 +112,7 @@ fn errors_are_as_large_as_predicted_whatever_the_zeros_are() {
     assert!(bent.iter().any(|s| *s > 3.0), "{bent:?}");
 }
 
-fn settings(choice: Choice) -> Settings {
+pub(crate) fn settings(choice: Choice) -> Settings {
     Settings {
         choice,
         estimator: Estimator::Arx,
@@ -122,6 +122,7 @@ fn settings(choice: Choice) -> Settings {
         all_frequencies: false,
         bootstrap: 0,
         repeats: None,
+        commanded: false,
     }
 }
 

@@ -4,6 +4,7 @@ use super::chart::{self, INK, rounded};
 use super::html::escape;
 use super::page::{self, card, facts_table, figure, picture, table};
 use super::scale_drawing::{ScaleDrawing, met};
+use crate::digits::fixed;
 use crate::median::upper_median;
 use crate::simulate::plan::{CalibrationErrorSource, Noise, Plan, Planned};
 use image::codecs::jpeg::JpegEncoder;
@@ -219,6 +220,12 @@ fn tips(plan: &Plan) -> Plot {
     plot
 }
 
+/// -180° is where 180° is.
+fn azimuth(degrees: f64) -> String {
+    let text = fixed(degrees, 1);
+    if text == "-180.0" { text.trim_start_matches('-').to_owned() } else { text }
+}
+
 fn assumptions(plan: &Plan) -> String {
     let catheter = &plan.mount.catheter;
     let rows = [
@@ -262,8 +269,8 @@ fn shapes(plan: &Plan) -> String {
             let mut row = vec![
                 page::minus(format!("{:.0}, {:.0}, {:.0}", ma.x, ma.y, ma.z)),
                 trouble(plan, pose).unwrap_or_else(|| "yes".to_owned()),
-                degrees(pose.theta_rad),
-                degrees(pose.azimuth_rad),
+                page::minus(fixed(pose.theta_rad.to_degrees(), 1)),
+                page::minus(azimuth(pose.azimuth_rad.to_degrees())),
                 number(noise.map(|n| n.theta_rad.to_degrees()), 3),
                 number(pose.video.as_ref().ok().map(|n| n.theta_rad.to_degrees()), 3),
                 number(noise.map(|n| n.tangent_rad.to_degrees()), 3),
@@ -278,9 +285,4 @@ fn shapes(plan: &Plan) -> String {
         })
         .collect();
     format!("<div class=\"dense\">{}</div>", table(2, &heads, &rows))
-}
-
-/// An angle; one that rounds to zero has no sign.
-fn degrees(rad: f64) -> String {
-    page::signed(rad.to_degrees(), 1).trim_start_matches('+').to_owned()
 }

@@ -1,7 +1,7 @@
 //! How the rig's bands sit on the catheter, and where the clamp is.
 
 use super::error::SceneError;
-use crate::catheter::Catheter;
+use crate::catheter::{Bands, Catheter};
 use crate::rig::Rig;
 use nalgebra::{Isometry3, Translation3};
 
@@ -15,7 +15,7 @@ const OFF_M: f64 = 1e-3;
 /// A catheter with the rig's bands on it; distances count from the clamp along the tube, metres.
 #[derive(Debug, Clone)]
 pub struct Mount {
-    /// The rod.
+    /// The rod, with the places of the rig's bands.
     pub catheter: Catheter,
     /// Middle of each band, in the rig's order.
     pub centres_m: Vec<f64>,
@@ -44,7 +44,7 @@ impl Mount {
         let begin_m = places.iter().map(|(centre, length)| centre - length / 2.0).fold(f64::INFINITY, f64::min);
         let last_m = places.iter().map(|(centre, length)| centre + length / 2.0).fold(f64::NEG_INFINITY, f64::max);
         let end_m = rig.catheter.end.and_then(|end| places.get(end)).map(|(centre, length)| centre + length / 2.0);
-        let (catheter, clamp_m) = match given {
+        let (mut catheter, clamp_m) = match given {
             Some(catheter) => (catheter.clone(), coil_m - catheter.flexible_m - catheter.coil_m / 2.0),
             None => {
                 let clamp_m = begin_m - FREE_M;
@@ -80,6 +80,8 @@ impl Mount {
         let first_m = centres_m.iter().copied().fold(f64::INFINITY, f64::min);
         let base_from_clamp = Translation3::new(0.0, 0.0, -first_m);
         let camera_from_clamp = base.base_from_camera.inverse() * base_from_clamp;
+        let tip_m = centres_m.get(rig.tip()).copied().unwrap_or(length_m);
+        catheter.bands = Some(Bands { base_m: first_m, tip_m });
         Ok(Self { catheter, centres_m, bands_m, length_m: ends_m, camera_from_clamp })
     }
 }

@@ -152,13 +152,19 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
 
     // 1. the frames, and when the commands were given
     let Marked { marker, name, samples } = marked(recording, options)?;
-    let Timing { window, start_from, start_correlation, note, inside, interval_s } = timing(path, observed, &samples)?;
+    let Timing { window, start_from, start_correlation, note, inside, interval_s } =
+        timing(path, observed, &samples, options)?;
     notes.extend(note);
     if start_from == StartFrom::Search {
         notes.push(
             "the start was found by correlation, which absorbs the lag: there is no phase, and errors are without it \
              too"
-            .to_owned(),
+            .to_owned()
+                + if window.commands < path.commands() {
+                    "; the last half of a period, where so late a start leads beyond the commands, is left out"
+                } else {
+                    "; the end of the only period that counts may lie beyond the commands"
+                },
         );
     }
     let pause_ns = window.pause_ns;
@@ -314,7 +320,12 @@ struct Timing<'a> {
     interval_s: f64,
 }
 
-fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -> Result<Timing<'a>, ValidateError> {
+fn timing<'a>(
+    path: &DesiredPath,
+    observed: &Observed<'a>,
+    samples: &[Sample],
+    options: &Options,
+) -> Result<Timing<'a>, ValidateError> {
     let recording = observed.recording;
     let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
     let pause_ns = (observed.pause_s * 1e9).round();
@@ -331,8 +342,9 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
     let ticked = by_ticks.map(|(ns, ..)| (ns, StartFrom::Ticks));
     let logged = || start_time::from_currents(&recording.currents, pause_ns).map(|ns| (ns, StartFrom::Currents));
     let mut start_correlation = None;
+    let after_search = start_time::commands_after_search(path, options.skip);
     let searched = || {
-        let (ns, correlation) = start_time::by_search(path, samples, pause_ns)?;
+        let (ns, correlation) = start_time::by_search(path, samples, pause_ns, after_search)?;
         start_correlation = Some(correlation);
         Some((ns, StartFrom::Search))
     };
@@ -351,7 +363,9 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
              and --periods? If so, give --start"
         )));
     }
-    let window = Window { start_ns, pause_ns, commands: path.commands() };
+    let searched = start_from == StartFrom::Search;
+    let commands = if searched { after_search } else { path.commands() };
+    let window = Window { start_ns, pause_ns, commands };
     let inside: Vec<&Frame> =
         recording.frames.iter().filter(|f| f.stamp_ns >= window.start_ns && f.stamp_ns < window.end_ns()).collect();
     if inside.is_empty() {

@@ -5,7 +5,9 @@
 //! - From the coil currents in the log: the first time at which a current differs from the first one logged, or the
 //!   first one itself if it is not zero and changes within 1.5 pauses.
 //! - Otherwise by a search over the record: the start at which the observed motion correlates best with the whole
-//!   commanded one. That absorbs the catheter's lag: such a start gives no phase, and errors also exclude the lag.
+//!   commanded one. That absorbs the catheter's lag: such a start gives no phase, and errors also exclude the lag. As
+//!   it is late by the lag, the last commands would end after the true ones, where the catheter returns to rest; so the
+//!   last half of a period, the largest lag, does not count, unless a single period does.
 
 use super::path::DesiredPath;
 use super::pauses::{Sample, Window};
@@ -92,22 +94,29 @@ pub(super) fn from_currents(currents: &[Current], pause_ns: i64) -> Option<i64> 
     first.stamp_ns.filter(is_command).or(Some(change_ns))
 }
 
+/// How many commands there are from a start that was searched for: those that were given even if it is late by half a
+/// period. `skip`: periods that do not count.
+pub(super) fn commands_after_search(path: &DesiredPath, skip: usize) -> usize {
+    let late = if path.periods > skip + 1 { path.points.len() / 2 } else { 0 };
+    path.commands() - late
+}
+
 /// The start at which the motion correlates best with the path, and that correlation; `None` when the record is shorter
-/// than all commands, or does not move. Accurate to about one point of 200 per period.
-pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -> Option<(i64, f64)> {
+/// than so many commands, or does not move. Accurate to about one point of 200 per period.
+pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64, commands: usize) -> Option<(i64, f64)> {
     let (first_ns, last_ns) = (samples.first()?.0, samples.last()?.0);
-    let window = Window { start_ns: first_ns, pause_ns, commands: path.commands() };
+    let window = Window { start_ns: first_ns, pause_ns, commands };
     let slack_ns = last_ns.checked_sub(window.end_ns()).filter(|slack| *slack >= 0)?;
     let times_s = samples.iter().map(|(ns, _)| (ns - first_ns) as f64 * 1e-9).collect();
     let curve = Curve::through(times_s, samples.iter().map(|(_, v)| *v).collect(), Interpolation::Linear);
-    let every = path.commands().div_ceil(POINTS_EVALUATED);
-    let commands: Vec<(f64, Vector3<f64>)> = (0..path.commands())
+    let every = window.commands.div_ceil(POINTS_EVALUATED);
+    let points: Vec<(f64, Vector3<f64>)> = (0..window.commands)
         .step_by(every)
         .map(|k| ((k as f64 + 0.5) * pause_ns as f64 * 1e-9, path.point(k).coords))
         .collect();
     let best = |from_ns: i64, to_ns: i64, step_ns: i64| {
         let starts = (0..=(to_ns - from_ns) / step_ns).map(|k| from_ns + k * step_ns);
-        let scored = starts.filter_map(|ns| Some((correlation(&curve, &commands, ns as f64 * 1e-9)?, ns)));
+        let scored = starts.filter_map(|ns| Some((correlation(&curve, &points, ns as f64 * 1e-9)?, ns)));
         scored.max_by(|a, b| a.0.total_cmp(&b.0))
     };
     // A long record is searched coarsely first.

@@ -179,3 +179,38 @@ fn what_cannot_be_is_refused_with_what_would_be_right() {
         assert!(message.contains(words), "`{words}` is not in {message}");
     }
 }
+
+/// A run as a tracker has it: counted from the base band, to the middle of the tip's.
+#[test]
+fn a_run_is_fitted_by_the_bands_of_the_catheters_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_dynamics/catheter.toml");
+    let sample = fs::read_to_string(sample).unwrap();
+    put("bare.toml", &sample);
+    put("bands.toml", &format!("{sample}\n[bands]\nbase_mm = 6.0\ntip_mm = 116.0\n"));
+    put("c.csv", "t_s,x_a,y_a,z_a\n1,0.0,0.05,0.06\n4,0.0,-0.04,-0.05\n7,0,0,0\n");
+    let run = ["run", "c.csv", "--catheter", "bands.toml", "--noise", "0.04,0.15", "--duration", "8s", "-o", "run.csv"];
+    stdout(&catheter(folder.path(), &run));
+    let ask = ["fit", "run.csv", "--currents", "c.csv", "--only-still", "--settle", "1500ms", "--parameters"];
+    let fitted = |file: &str, out: &str| {
+        catheter(folder.path(), &[&ask[..], &["young,shear", "--catheter", file, "-o", out]].concat())
+    };
+    let right = fitted("bands.toml", "right");
+    let warnings = String::from_utf8_lossy(&right.stderr).into_owned();
+    let text = stdout(&right);
+    let values = fs::read_to_string(folder.path().join("right/fit.csv")).unwrap();
+    for (name, truth) in [("young", 5.39), ("shear", 2.39)] {
+        let row: Vec<&str> = values.lines().find(|line| line.starts_with(name)).unwrap().split(',').collect();
+        let (value, sd): (f64, f64) = (row[2].parse().unwrap(), row[3].parse().unwrap());
+        assert!((value - truth).abs() < 3.5 * sd + 1e-3 * truth, "{name} {value} {sd}\n{text}");
+    }
+    assert!(!warnings.contains("doubt"), "{warnings}");
+    let written = fs::read_to_string(folder.path().join("right/catheter.toml")).unwrap();
+    assert!(written.contains("[bands]\nbase_mm = 6.0\ntip_mm = 116.0"), "{written}");
+    // Without the bands the fit cannot be right, and says why.
+    let warnings = String::from_utf8_lossy(&fitted("bare.toml", "wrong").stderr).into_owned();
+    for words in ["nothing says where its bands are", "in all frames alike the coil is seen -"] {
+        assert!(warnings.contains(words), "{warnings}");
+    }
+}

@@ -1,7 +1,9 @@
 //! What makes a fit doubtful: values that no catheter has, and residuals that are no noise.
 
-use super::Fit;
 use super::parameter::Parameter;
+use super::{Check, Fit, Run};
+use crate::catheter::dynamics::Moment;
+use crate::catheter::record::Sighting;
 
 /// σ beyond which a value is not chance.
 const SIGNIFICANT_SD: f64 = 4.0;
@@ -9,6 +11,38 @@ const SIGNIFICANT_SD: f64 = 4.0;
 const LARGE_MISFIT: f64 = 1.5;
 /// A coil set is hardly mounted further from where the catheter's file has it, degrees.
 const TURNED_DEG: f64 = 45.0;
+/// Residuals along the tube are the same throughout a run when their mean is more than so many times their scatter.
+const CONSTANT: f64 = 2.0;
+/// Bands are measured no better than this, metres.
+const LEAST_FARTHER_M: f64 = 0.3e-3;
+
+/// How much farther along the tube than modelled coil and tip were seen, metres, if one of them by the same in all
+/// frames: no other error of a model is along the tube whichever way it points.
+pub(super) fn farther_m(run: &Run, moments: &[Moment]) -> Option<[f64; 2]> {
+    let along = |of: fn(&Sighting, &Moment) -> Option<f64>| {
+        let all: Vec<f64> = run.sightings.iter().zip(moments).filter_map(|(s, m)| of(s, m)).collect();
+        let count = all.len().max(1) as f64;
+        let mean = all.iter().sum::<f64>() / count;
+        let scatter = (all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count).sqrt();
+        (mean, mean.abs() > f64::max(LEAST_FARTHER_M, CONSTANT * scatter))
+    };
+    let (coil, coil_is) = along(|s, m| Some((s.coil? - m.coil).dot(&m.tangent)));
+    let (tip, tip_is) = along(|s, m| Some((s.tip? - m.tip).dot(&m.tangent)));
+    (coil_is || tip_is).then_some([coil, tip])
+}
+
+impl Check {
+    /// That lengths or bands are wrong, if residuals say so.
+    pub fn doubt(&self) -> Option<String> {
+        let [coil_mm, tip_mm] = self.farther_m?.map(|m| m * 1e3);
+        Some(format!(
+            "{}: in all frames alike the coil is seen {coil_mm:+.1} mm farther along the tube than computed, the tip \
+             {tip_mm:+.1} mm: lengths are wrong (flexible_mm, length_mm, tail_mm of the catheter), or the places of \
+             the bands (centre_mm in the rig, --rig, or [bands] in the catheter's file)",
+            self.name
+        ))
+    }
+}
 
 impl Fit {
     /// Reasons not to use the values as they are, as sentences.

@@ -28,7 +28,7 @@ mod tests;
 use super::commands::Commands;
 use super::dynamics::{Accuracy, Moment};
 use super::error::CatheterError;
-use super::model::Catheter;
+use super::model::{Bands, Catheter};
 use super::record::{Noise, Sighting};
 use moving::Moving;
 use nalgebra::{DMatrix, DVector};
@@ -48,8 +48,17 @@ pub struct Run {
     pub name: String,
     /// Currents.
     pub commands: Commands,
-    /// Frames, their times rising from 0 or later.
+    /// Frames, their times rising from 0 or later; positions from the clamp.
     pub sightings: Vec<Sighting>,
+    /// Where the bands were that were seen; without them, what is called the tip is the end of the tube.
+    pub bands: Option<Bands>,
+}
+
+impl Run {
+    /// A catheter with this run's bands.
+    fn on(&self, catheter: &Catheter) -> Catheter {
+        Catheter { bands: self.bands, ..catheter.clone() }
+    }
 }
 
 /// What is to be fitted, and how.
@@ -91,6 +100,8 @@ pub struct Check {
     pub coil_rms_m: f64,
     /// Root mean square difference of θ, radians.
     pub theta_rms_rad: f64,
+    /// How much farther along the tube than modelled coil and tip were seen, if by the same in all frames, metres.
+    pub farther_m: Option<[f64; 2]>,
 }
 
 /// The result.
@@ -180,7 +191,7 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
         let start = catheter.clone();
         // What shapes at rest leave open, the motion may tell.
         let result = determined(&mut wanted, options.only_still.then_some(&mut open), |parameters| {
-            let model = Still::new(&start, parameters, &pauses, noise);
+            let model = Still::new(&start, parameters, (runs, &pauses), noise);
             minimise(parameters, &model, start_of(&start, delay_s, parameters))
         })?;
         catheter = with(&start, delay_s, &wanted, &result.coordinates).0;
@@ -227,10 +238,12 @@ fn determined(
         let found = search(parameters)
             .ok_or_else(|| wrong("the catheter has no shape at some of the runs' currents: give one that is nearer"))?;
         let Some(least) = least_determined(parameters, &found.information) else {
-            return found
-                .settled
-                .then_some(found)
-                .ok_or_else(|| wrong("the search does not settle: give a catheter that is nearer"));
+            return found.settled.then_some(found).ok_or_else(|| {
+                wrong(
+                    "the search does not settle: are the catheter's lengths right, and the places of the bands \
+                         (--rig, or [bands] in the catheter's file)? If so, give a catheter that is nearer",
+                )
+            });
         };
         parameters.retain(|p| *p != least.parameter);
         if let Some(open) = &mut open {
@@ -287,6 +300,7 @@ pub fn check(catheter: &Catheter, delay_s: f64, run: &Run, accuracy: Accuracy) -
         name: run.name.clone(),
         tip_rms_m: rms(|s, m| Some((s.tip? - m.tip).norm_squared())),
         coil_rms_m: rms(|s, m| Some((s.coil? - m.coil).norm_squared())),
+        farther_m: doubts::farther_m(run, &moments),
         theta_rms_rad: rms(|s, m| s.tangent.map(|t| (t.x.atan2(t.z) - m.theta_rad()).powi(2))),
         moments,
     })

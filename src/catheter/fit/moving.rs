@@ -28,7 +28,7 @@ pub(super) fn moments(
     accuracy: Accuracy,
 ) -> Result<Vec<Moment>, CatheterError> {
     let times_s = run.sightings.iter().map(|s| s.time_s);
-    record(catheter, &run.commands.later(delay_s), Vector3::zeros(), times_s, accuracy)
+    record(&run.on(catheter), &run.commands.later(delay_s), Vector3::zeros(), times_s, accuracy)
 }
 
 impl Residuals for Moving<'_> {

@@ -13,7 +13,8 @@ const DETERMINED_INFORMATION: f64 = 25.0;
 /// What has a share of at least this in a direction is named with it.
 const NAMED_SHARE: f64 = 0.4;
 const MAX_STEPS: usize = 25;
-/// A step that promises to lower the sum of squares by less than this is the last.
+/// A step that promises to lower the sum of squares by less than this is the last; where residuals are larger than the
+/// noise, by less than this times their mean square, as σ are wider by that too.
 const COST_TOLERANCE: f64 = 1e-3;
 
 /// Residuals in standard deviations at a point; `None` where the model has none (a shape that snaps).
@@ -96,7 +97,7 @@ pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: 
             }
             let Some(step) = matrix.cholesky().map(|matrix| matrix.solve(&gradient)) else { break };
             let predicted_decrease = step.dot(&gradient);
-            if predicted_decrease < COST_TOLERANCE {
+            if predicted_decrease < COST_TOLERANCE * f64::max(1.0, cost / residuals.len() as f64) {
                 return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: true });
             }
             let next = &at + step.component_mul(&open);

@@ -111,6 +111,7 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64) -> (Vec<Pause>, 
 pub(super) struct Still<'a> {
     pub(super) start: &'a Catheter,
     pub(super) parameters: &'a [Parameter],
+    pub(super) runs: &'a [Run],
     pub(super) pauses: &'a [Pause],
     /// Shapes at the start, from which others are found fast.
     pub(super) shapes: Vec<Option<Shape>>,
@@ -118,9 +119,14 @@ pub(super) struct Still<'a> {
 }
 
 impl<'a> Still<'a> {
-    pub(super) fn new(start: &'a Catheter, parameters: &'a [Parameter], pauses: &'a [Pause], noise: Noise) -> Self {
+    pub(super) fn new(
+        start: &'a Catheter,
+        parameters: &'a [Parameter],
+        (runs, pauses): (&'a [Run], &'a [Pause]),
+        noise: Noise,
+    ) -> Self {
         let shapes = pauses.iter().map(|pause| equilibrium(start, &Load::currents(pause.currents_a)).ok()).collect();
-        Self { start, parameters, pauses, shapes, noise }
+        Self { start, parameters, runs, pauses, shapes, noise }
     }
 }
 
@@ -130,6 +136,7 @@ impl Residuals for Still<'_> {
         let mut left = Vec::with_capacity(9 * self.pauses.len());
         for (pause, shape) in self.pauses.iter().zip(&self.shapes) {
             let load = Load::currents(pause.currents_a);
+            let catheter = self.runs.get(pause.run)?.on(&catheter);
             let near = shape.as_ref().and_then(|shape| shape.moved_to(&catheter, &load).ok());
             let shape = near.or_else(|| equilibrium(&catheter, &load).ok())?;
             let mean = (pause.frames as f64).sqrt();

@@ -34,7 +34,7 @@ fn experiment((catheter, delay_s): (Catheter, f64), levels_ma: &[[f64; 3]], accu
     let frames = (60.0 * (1.0 + hold_s * levels_ma.len() as f64)) as u64;
     let times = (0..frames).map(|k| k as f64 / 60.0);
     let moments = record(&catheter, &commands.later(delay_s), Vector3::zeros(), times, accuracy).unwrap();
-    Run { name: format!("seed {seed}"), commands, sightings: seen(&moments, NOISE, seed) }
+    Run { name: format!("seed {seed}"), commands, sightings: seen(&moments, NOISE, seed), bands: catheter.bands }
 }
 
 /// The model's own error is tested elsewhere; here it is the same on both sides, and coarse.
@@ -185,4 +185,35 @@ fn one_coil_at_rest_leaves_twist_alignment_and_motion_open() {
     assert_eq!(open, [&[Parameter::Shear, Parameter::Alignment][..], &motion].concat());
     let young = fit.estimated.iter().find(|e| e.parameter == Parameter::Young).unwrap();
     assert!((young.value - 6.3e6).abs() < 3.0 * young.sd && young.sd < 0.01e6, "{young:?}");
+}
+
+/// What a tracker sees is counted from the base band, and its tip is the middle of a band.
+#[test]
+fn a_run_is_fitted_by_the_places_of_its_bands() {
+    let mut catheter = Catheter::prototype();
+    catheter.tube.young_pa = 6.3e6;
+    catheter.bands = Some(Bands { base_m: 6e-3, tip_m: catheter.length_m() - 3e-3 });
+    let fine = Accuracy { longest_link_m: 1e-3, ..accuracy() };
+    let run = experiment((catheter.clone(), 0.0), &[[0.0, 40.0, 60.0], [0.0, -40.0, -60.0]], fine, 3);
+    let options = FitOptions { only_still: true, accuracy: fine, ..options(&[Parameter::Young, Parameter::Shear]) };
+    let found = |run: &Run| {
+        let fit = fit(&Catheter::prototype(), 0.0, std::slice::from_ref(run), &options).unwrap();
+        let doubt = check(&fit.catheter, 0.0, run, fine).unwrap().doubt();
+        (fit, doubt)
+    };
+    let (fit, doubt) = found(&run);
+    for (e, truth) in fit.estimated.iter().zip([6.3e6, catheter.tube.shear_pa]) {
+        assert!((e.value - truth).abs() < 3.5 * e.sd && e.sd < 0.01 * truth, "{e:?}");
+    }
+    assert!(fit.misfit < 1.3 && doubt.is_none(), "{} {doubt:?}", fit.misfit);
+    // As if it counted from the clamp: the base band is 6 mm off, the tip's by 3 mm more.
+    let mut wrong = run;
+    wrong.bands = None;
+    let base = Vector3::z() * 6e-3;
+    for seen in &mut wrong.sightings {
+        (seen.coil, seen.tip) = (seen.coil.map(|p| p - base), seen.tip.map(|p| p - base));
+    }
+    let (fit, doubt) = found(&wrong);
+    let doubt = doubt.unwrap();
+    assert!(fit.misfit > 10.0 && doubt.contains("in all frames alike the coil is seen -"), "{doubt}");
 }

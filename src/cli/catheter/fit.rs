@@ -1,13 +1,16 @@
 //! `catoptra catheter fit`: the catheter's parameters from tracked runs.
 
 use super::super::output::save;
+use super::super::results::unfinished;
 use super::super::units::{duration_s, seconds_ns};
 use super::super::{Exit, Failure, output, provenance};
+use super::bands::{self, Seen};
 use super::run::Columns;
 use super::{Common, failure, prepare};
 use crate::catheter::{
     Accuracy, Catheter, CatheterError, Check, Commands, Fit, FitOptions, Noise, Parameter, Run, Sighting, check, fit,
 };
+use crate::digits::fixed;
 use crate::plural::plural;
 use crate::report::catheter_fit;
 use crate::series::{CurrentTable, Recording};
@@ -36,6 +39,9 @@ pub(super) struct FitArgs {
     /// Currents of these
     #[arg(long, value_name = "FILE", num_args = 1..)]
     validate_currents: Vec<PathBuf>,
+    /// The rig of the runs, for where the bands are on the tube [default: the one recorded with each]
+    #[arg(long, value_name = "RIG.toml")]
+    rig: Option<PathBuf>,
     #[command(flatten)]
     columns: Columns,
     /// Camera time at which the currents' table starts, seconds
@@ -76,12 +82,24 @@ impl FitArgs {
             }
         }
         prepare(&self.out, &FILES)?;
-        let (name, catheter) = self.common.load()?;
-        let read = |files: &[PathBuf], tables: &[PathBuf]| -> Result<Vec<(Run, Option<Noise>)>, Failure> {
-            files.iter().enumerate().map(|(k, file)| self.read(&catheter, file, tables.get(k))).collect()
+        let seen = |files: &[PathBuf]| -> Result<Vec<Option<Seen>>, Failure> {
+            files.iter().map(|file| Seen::by(file, self.rig.as_deref())).collect()
         };
-        let fitted = read(&self.runs, &self.currents)?;
-        let judged: Vec<Run> = read(&self.validate, &self.validate_currents)?.into_iter().map(|(run, _)| run).collect();
+        let (seen_fitted, seen_judged) = (seen(&self.runs)?, seen(&self.validate)?);
+        let (name, mut catheter) = match (&self.common.catheter, seen_fitted.iter().flatten().next()) {
+            (None, Some(seen)) => (format!("the paper's prototype with the lengths of {}", seen.name), seen.on(None)?),
+            _ => self.common.load()?,
+        };
+        let read = |files: &[PathBuf], tables: &[PathBuf], seen: &[Option<Seen>]| {
+            let runs = files.iter().zip(seen).enumerate();
+            let runs = runs.map(|(k, (file, seen))| self.read(&catheter, file, tables.get(k), seen.as_ref()));
+            runs.collect::<Result<Vec<(Run, Option<Noise>)>, Failure>>()
+        };
+        let fitted = read(&self.runs, &self.currents, &seen_fitted)?;
+        let judged = read(&self.validate, &self.validate_currents, &seen_judged)?;
+        let judged: Vec<Run> = judged.into_iter().map(|(run, _)| run).collect();
+        // The file that is written says where the bands of its runs are.
+        catheter.bands = fitted.iter().find_map(|(run, _)| run.bands).or(catheter.bands);
         let stated_noise = fitted.iter().find_map(|(_, stated_noise)| *stated_noise);
         let runs: Vec<Run> = fitted.into_iter().map(|(run, _)| run).collect();
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
@@ -104,6 +122,9 @@ impl FitArgs {
             runs.iter().map(|run| check(&result.catheter, result.delay_s, run, accuracy).map_err(failure)).collect()
         };
         let (own, other) = (checks(&runs)?, checks(&judged)?);
+        for doubt in own.iter().chain(&other).filter_map(Check::doubt) {
+            tracing::warn!("doubt: {doubt}");
+        }
         save(&self.out.join("catheter.toml"), &result.catheter.to_toml(&self.heading(&name)))?;
         save(&self.out.join("fit.csv"), &values(&result))?;
         let settings =
@@ -124,13 +145,25 @@ impl FitArgs {
     }
 
     /// A run, and what its tracker says of the noise.
-    fn read(&self, catheter: &Catheter, file: &Path, table: Option<&PathBuf>) -> Result<(Run, Option<Noise>), Failure> {
+    fn read(
+        &self,
+        catheter: &Catheter,
+        file: &Path,
+        table: Option<&PathBuf>,
+        seen: Option<&Seen>,
+    ) -> Result<(Run, Option<Noise>), Failure> {
         let wrong = |problem: &str| Failure::usage(format!("{}: {problem}", file.display()));
         let recording = Recording::read(file)?;
+        if let Some(warning) = unfinished(file) {
+            tracing::warn!("{warning}");
+        }
         if let Some(why) = &recording.cut {
             tracing::warn!("{}: not all of it can be read: {why}", file.display());
         }
         recording.in_base_frame()?;
+        let bands = bands::of(&recording, seen, catheter)?;
+        // The model counts from the clamp.
+        let origin = Vector3::z() * bands.map_or(0.0, |bands| bands.base_m);
         let (coil, tip) = (recording.marker("coil")?, recording.marker("tip")?);
         let mut commands: Vec<(i64, Vec<f64>)> = Vec::new();
         let coils = match table {
@@ -172,8 +205,8 @@ impl FitArgs {
             .iter()
             .map(|frame| Sighting {
                 time_s: seconds(frame.stamp_ns),
-                coil: frame.places.get(coil).and_then(|place| place.point),
-                tip: frame.places.get(tip).and_then(|place| place.point),
+                coil: frame.places.get(coil).and_then(|place| place.point).map(|point| point + origin),
+                tip: frame.places.get(tip).and_then(|place| place.point).map(|point| point + origin),
                 tangent: frame.tangent,
             })
             .collect();
@@ -190,17 +223,18 @@ impl FitArgs {
         let sd_m = rms(recording.frames.iter().filter_map(|f| f.places.get(tip)?.sd_m));
         let sd_rad = rms(recording.frames.iter().filter_map(|f| f.tangent_sd_rad));
         let stated_noise = sd_m.zip(sd_rad).map(|(point_m, angle_rad)| Noise { point_m, angle_rad, missing: 0.0 });
-        Ok((Run { name: file.display().to_string(), commands, sightings }, stated_noise))
+        Ok((Run { name: file.display().to_string(), commands, sightings, bands }, stated_noise))
     }
 
     fn summary(&self, fit: &Fit, own: &[Check], other: &[Check]) -> String {
         let frames = if fit.in_motion { "all frames" } else { "shapes at rest" };
-        let mut text = format!("fitted to {frames}, {} pauses at rest\n\n", fit.pauses.len());
+        let mut text = format!("fitted to {frames}, {} at rest\n\n", plural(fit.pauses.len(), "pause"));
         // Writing into text cannot fail.
         for estimated in &fit.estimated {
             let (unit, scale) = estimated.parameter.unit();
             let (value, sd) = (estimated.value * scale, estimated.sd * scale);
-            let _ = writeln!(text, "  {:<12} {value:>10.4} ± {sd:.4} {unit}", estimated.parameter.name());
+            let value = fixed(value, 4);
+            let _ = writeln!(text, "  {:<12} {value:>10} ± {sd:.4} {unit}", estimated.parameter.name());
         }
         for open in &fit.open {
             let _ = writeln!(text, "  {:<12} not determined", open.parameter.name());
@@ -217,7 +251,7 @@ impl FitArgs {
             let _ = writeln!(text, "  {widening}");
         }
         if fit.unsettled > 0 {
-            let _ = writeln!(text, "  {} pauses had not come to rest: lengthen --settle", fit.unsettled);
+            let _ = writeln!(text, "  {} had not come to rest: lengthen --settle", plural(fit.unsettled, "pause"));
         }
         let _ = writeln!(text, "\n  RMS            tip      coil       θ");
         for (check, word) in own.iter().map(|c| (c, "fitted")).chain(other.iter().map(|c| (c, "not fitted"))) {
@@ -237,9 +271,9 @@ fn held_too_long(commands: &Commands, last_s: f64) -> Option<String> {
         commands.pauses().map(|(from_s, to_s, _)| to_s - from_s).filter(|s| s.is_finite()).reduce(f64::max)?;
     let held_s = last_s - from_s;
     (held_s > HELD_TOO_LONG.0 * longest_s && held_s > HELD_TOO_LONG.1).then(|| {
-        let [x, y, z] = (held * 1e3).into();
+        let [x, y, z] = <[f64; 3]>::from(held * 1e3).map(|ma| fixed(ma, 1));
         format!(
-            "its last currents ({x:.1}, {y:.1}, {z:.1} mA) are taken to be held from {from_s:.2} s to the run's end at \
+            "its last currents ({x}, {y}, {z} mA) are taken to be held from {from_s:.2} s to the run's end at \
              {last_s:.2} s, no others for longer than {longest_s:.2} s: if they ended before, end the table with a row \
              of zeros"
         )

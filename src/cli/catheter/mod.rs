@@ -1,5 +1,6 @@
 //! `catoptra catheter`: what the catheter does for given currents, and which currents make it follow a path.
 
+mod bands;
 mod fit;
 mod run;
 
@@ -18,6 +19,9 @@ use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+/// Up to this size circles were found to have the linearised response (docs/catheter.md).
+const SMALL_M: f64 = 0.5e-3;
 
 /// Arguments of `catoptra catheter`.
 #[derive(Debug, clap::Args)]
@@ -265,9 +269,9 @@ impl FollowArgs {
         let mut names = ["desired.csv", "response.csv", "follow.html"].map(str::to_owned).to_vec();
         names.extend(tables.iter().flat_map(|(_, table)| [format!("{table}.csv"), format!("{table}.play")]));
         prepare(&self.out, &names)?;
-        let targets = self.targets()?;
+        let targets = self.targets(catheter.origin_m())?;
         let followed = follow(&catheter, &targets).map_err(failure)?;
-        save(&self.out.join("desired.csv"), &desired(&followed))?;
+        save(&self.out.join("desired.csv"), &desired(&followed, catheter.origin_m()))?;
         for (pause_s, table) in &tables {
             let rows = self.rows(&followed, *pause_s);
             let mut csv = format!("t_s,{a},{b},{c}\r\n");
@@ -313,11 +317,19 @@ impl FollowArgs {
                 plural(far, "point")
             );
         }
+        let size_mm = size_m(&followed) * 1e3;
+        if size_mm > SMALL_M * 1e3 {
+            let _ = writeln!(
+                text,
+                "  response.csv                        is that of small motions; at {size_mm:.1} mm (RMS) the run will \
+                 differ"
+            );
+        }
         let _ = writeln!(text, "\nwritten: {} in {}", names.join(", "), self.out.display());
         output::print(&text)
     }
 
-    fn targets(&self) -> Result<Vec<Target>, Failure> {
+    fn targets(&self, origin_m: f64) -> Result<Vec<Target>, Failure> {
         let &[x, y] = self.centre.as_slice() else {
             let text = format!("--centre: {} lengths, expected X,Y such as 28mm,0mm", self.centre.len());
             return Err(Failure::usage(text));
@@ -333,7 +345,7 @@ impl FollowArgs {
                     across(t.cos() * scale, t.sin() * t.cos() * scale)
                 })
                 .collect()),
-            file => from_table(Path::new(file)),
+            file => from_table(Path::new(file), origin_m),
         }
     }
 
@@ -345,8 +357,8 @@ impl FollowArgs {
     }
 }
 
-/// Points of a path, in mm: with z in space, without across the tube.
-fn from_table(file: &Path) -> Result<Vec<Target>, Failure> {
+/// Points of a path, in mm: with z in space, counted from so far from the clamp, without across the tube.
+fn from_table(file: &Path, origin_m: f64) -> Result<Vec<Target>, Failure> {
     let wrong = |what: String| Failure::usage(format!("{}: {what}", file.display()));
     if !file.exists() {
         return Err(wrong("is neither circle nor lemniscate, and no such file".to_owned()));
@@ -367,16 +379,23 @@ fn from_table(file: &Path) -> Result<Vec<Target>, Failure> {
             let missing = || wrong(format!("point {}: a value is missing", k + 1));
             let (x, y) = (at(flat.first(), k).ok_or_else(missing)?, at(flat.get(1), k).ok_or_else(missing)?);
             let Some(height) = &height else { return Ok(Target::Across([x, y])) };
-            Ok(Target::Space(Point3::new(x, y, at(height.first(), k).ok_or_else(missing)?)))
+            Ok(Target::Space(Point3::new(x, y, origin_m + at(height.first(), k).ok_or_else(missing)?)))
         })
         .collect()
 }
 
-/// One period of what the tip does: the desired path of `validate`.
-fn desired(followed: &[Followed]) -> String {
+/// Root mean square distance of the tip from its mean.
+fn size_m(followed: &[Followed]) -> f64 {
+    let count = followed.len().max(1) as f64;
+    let mean = followed.iter().map(|f| f.shape.tip.coords).sum::<Vector3<f64>>() / count;
+    (followed.iter().map(|f| (f.shape.tip.coords - mean).norm_squared()).sum::<f64>() / count).sqrt()
+}
+
+/// One period of what the tip does, counted from so far from the clamp: the desired path of `validate`.
+fn desired(followed: &[Followed], origin_m: f64) -> String {
     let mut text = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\r\n".to_owned();
     for Followed { shape, .. } in followed {
-        let (p, t) = (shape.tip * 1e3, shape.tangent);
+        let (p, t) = ((shape.tip - Vector3::z() * origin_m) * 1e3, shape.tangent);
         let _ = write!(text, "{:.6},{:.6},{:.6},{:.8},{:.8},{:.8}\r\n", p.x, p.y, p.z, t.x, t.y, t.z);
     }
     text

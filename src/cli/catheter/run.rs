@@ -8,7 +8,7 @@ use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, rec
 use crate::log::schema::table;
 use crate::plural::plural;
 use crate::series::CurrentTable;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -146,7 +146,7 @@ impl RunArgs {
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
         let times_s = (0..frames as u64).map(|k| k as f64 / self.rate);
         let moments = record(&catheter, &commands, tip_n, times_s, accuracy).map_err(failure)?;
-        save(&self.out, &rows(&seen(&moments, noise, self.seed), noise))?;
+        save(&self.out, &rows(&moments, &seen(&moments, noise, self.seed), noise, catheter.origin_m()))?;
         if quiet { Ok(()) } else { print(&summary(&name, &moments, self.rate, &self.out)) }
     }
 
@@ -165,12 +165,13 @@ impl RunArgs {
     }
 }
 
-/// The table of a tracked run.
-fn rows(sightings: &[Sighting], noise: Noise) -> String {
+/// The table of a tracked run, with its origin so far from the clamp.
+fn rows(moments: &[Moment], sightings: &[Sighting], noise: Noise, origin_m: f64) -> String {
+    let origin = Vector3::z() * origin_m;
     let mut text = table::header(["base", "coil", "tip"].into_iter(), false).join(",") + "\r\n";
     let sd = |value: f64| if value > 0.0 { format!("{value:.6}") } else { String::new() };
     let (point_sd, angle_sd) = (sd(noise.point_m * 1e3), sd(noise.angle_rad.to_degrees()));
-    for (k, at) in sightings.iter().enumerate() {
+    for (k, (moment, at)) in moments.iter().zip(sightings).enumerate() {
         let stamp_ns = (at.time_s * NS_PER_S).round() as i64;
         // Writing into text cannot fail.
         let _ = write!(text, "{k},{}.{:09},{stamp_ns}", stamp_ns / 1_000_000_000, stamp_ns % 1_000_000_000);
@@ -182,7 +183,7 @@ fn rows(sightings: &[Sighting], noise: Noise) -> String {
             }
             None => text += ",,,,",
         }
-        for point in [at.tip.map(|_| Point3::origin()), at.coil, at.tip] {
+        for point in [at.tip.map(|_| moment.base), at.coil, at.tip].map(|point| Some(point? - origin)) {
             match point {
                 Some(p) => {
                     let _ = write!(text, ",{:.6},{:.6},{:.6},{point_sd},ok", p.x * 1e3, p.y * 1e3, p.z * 1e3);

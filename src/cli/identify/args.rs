@@ -351,6 +351,8 @@ impl Args {
             all_frequencies: self.all_frequencies,
             bootstrap: self.bootstrap,
             repeats: self.repeats.map(|r| r.0),
+            // A current is what was commanded; of other columns nothing is known.
+            commanded: self.plant.is_none() && self.output.is_none(),
         })
     }
 

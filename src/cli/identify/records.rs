@@ -2,6 +2,7 @@
 
 use super::args::Args;
 use crate::cli::Failure;
+use crate::cli::results::unfinished;
 use crate::plural::plural;
 use crate::series::{Current, CurrentClock, CurrentTable, Recording};
 use std::path::Path;
@@ -40,6 +41,9 @@ impl Driven {
     pub(super) fn read(file: &Path, table: Option<&Path>) -> Result<Self, Failure> {
         let name = file.display().to_string();
         let mut recording = Recording::read(file)?;
+        if let Some(warning) = unfinished(file) {
+            tracing::warn!("{warning}");
+        }
         if let Some(why) = &recording.cut {
             tracing::warn!("{name}: not all of it can be read: {why}");
         }

@@ -1,5 +1,6 @@
 //! The result as text for the terminal.
 
+use crate::digits::{fixed, scientific};
 use crate::identify::continuous::{Continuous, Conversion};
 use crate::identify::data::Data;
 use crate::identify::fit::{InitialState, Kind};
@@ -39,13 +40,14 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
             }
         }
         if let Some(delay) = &record.delay {
-            write!(text, "; output late by {:.1} ± {:.1} ms", delay.delay_s * 1e3, delay.sd_s * 1e3)?;
+            write!(text, "; output late by {} ± {:.1} ms", fixed(delay.delay_s * 1e3, 1), delay.sd_s * 1e3)?;
             if let Some(others) = delay.others_in_words() {
                 write!(text, ", or by {others}")?;
             }
         }
         if let Some(zero) = &record.zero {
-            write!(text, "; zero off by {:.3} ± {:.3}°", zero.offset.to_degrees(), zero.sd.to_degrees())?;
+            let (offset, sd) = (fixed(zero.offset.to_degrees(), 3), zero.sd.to_degrees());
+            write!(text, "; zero off by {offset} ± {sd:.3}°")?;
         }
         writeln!(text)?;
     }
@@ -123,8 +125,9 @@ fn transfer_function(text: &mut String, model: &Modelled, estimate: &ContinuousE
         for (k, c) in coefficients.iter().enumerate() {
             // The leading 1 has no error.
             let error = if name == "denominator" && k == 0 { None } else { errors.next() };
-            let sd = error.map_or(String::new(), |sd| format!(" ± {sd:.3e}"));
-            writeln!(text, "  {name:<11} s^{} {c:>14.6e}{sd}", coefficients.len() - 1 - k)?;
+            let (value, sd) = scientific(*c, error.copied());
+            let sd = sd.map_or(String::new(), |sd| format!(" ± {sd}"));
+            writeln!(text, "  {name:<11} s^{} {value:>14}{sd}", coefficients.len() - 1 - k)?;
         }
     }
     if *delay_s > 0.0 {

@@ -26,6 +26,9 @@ const BATCH: usize = 8;
 /// Exposure where neither rig nor options say it, seconds.
 pub(in crate::cli) const EXPOSURE_S: f64 = 2e-3;
 
+/// The catheter that was simulated, for `catheter fit`.
+const CATHETER: &str = "catheter.toml";
+
 /// Arguments of `catoptra simulate`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -79,7 +82,7 @@ pub(crate) struct Args {
     /// That board: inner corners and squares
     #[arg(long, value_name = "CxR:SIZE", default_value = "9x6:12mm")]
     board: String,
-    /// Folder for recording, truth.csv and rig.toml
+    /// Folder for recording, truth.csv, rig.toml and catheter.toml
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -150,10 +153,11 @@ impl Args {
         let stamps = source.stamps(timing)?;
         let renderer = Renderer::new(rig, scene).map_err(|e| Failure::usage(format!("{}: {e}", self.rig.display())))?;
         let mut files = self.codec.files(stamps.len());
-        files.extend(["truth.csv", "rig.toml"].map(str::to_owned));
+        files.extend(["truth.csv", "rig.toml", CATHETER].map(str::to_owned));
         let results = self.results(files);
         results.take()?;
         rig.save(&self.out.join("rig.toml"))?;
+        output::save(&self.out.join(CATHETER), &mount.catheter.to_toml(&self.heading()))?;
         let mut progress = Progress::of_frames(Some(stamps.len() as u64), quiet);
         let mut writer = Writer::start(&self.out, self.codec, rig, &mount.centres_m)?;
         let began = std::time::Instant::now();
@@ -185,7 +189,7 @@ impl Args {
         let took_s = began.elapsed().as_secs_f64();
         if !quiet {
             output::print(&format!(
-                "{} in {took_s:.1} s, {:.1} per second\n\nwritten: {}, truth.csv, rig.toml in {}\n",
+                "{} in {took_s:.1} s, {:.1} per second\n\nwritten: {}, truth.csv, rig.toml, {CATHETER} in {}\n",
                 plural(done, "frame"),
                 done as f64 / took_s,
                 self.codec.name(),
@@ -199,6 +203,15 @@ impl Args {
             ));
         }
         Ok(())
+    }
+
+    /// The first line of the catheter's file.
+    fn heading(&self) -> String {
+        let rig = self.rig.display();
+        match &self.catheter {
+            Some(file) => format!("{}, with the bands of {rig}.", file.display()),
+            None => format!("The paper's prototype, with the lengths and bands of {rig}."),
+        }
     }
 
     fn results(&self, files: Vec<String>) -> Results<'_> {

@@ -9,6 +9,7 @@ pub(crate) use applied::applied_page;
 
 use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, table};
+use crate::digits::{digits_behind_first, fixed};
 use crate::identify::continuous::{Continuous, Conversion};
 use crate::identify::data::Data;
 use crate::identify::fit::{InitialState, Kind};
@@ -48,14 +49,19 @@ pub(crate) fn page(data: &Data, done: &Identification, provenance: &Provenance) 
 
 /// Up to five digits, and powers of ten where shorter.
 fn number(value: f64) -> Html {
+    number_to(value, 4)
+}
+
+/// With so many digits behind its first one.
+fn number_to(value: f64, behind: usize) -> Html {
     let size = value.abs();
     if value == 0.0 {
         "0".into()
     } else if (1e-3..1e5).contains(&size) {
-        let digits = (4 - size.log10().floor() as i32).max(0) as usize;
+        let digits = (behind as i32 - size.log10().floor() as i32).max(0) as usize;
         format!("{value:.digits$}").replace('-', "−").into()
     } else {
-        let text = format!("{value:.4e}");
+        let text = format!("{value:.behind$e}");
         let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
         Html::raw(format!("{}·10<sup>{}</sup>", mantissa.replace('-', "−"), exponent.replace('-', "−")))
     }
@@ -197,8 +203,8 @@ fn transfer_functions(done: &Identification) -> String {
             rows.push(vec![
                 Html::from(&model.title),
                 label.clone(),
-                number(value),
-                sd.map_or_else(Html::default, number),
+                sd.map_or_else(|| number(value), |sd| number_to(value, digits_behind_first(value, sd).unwrap_or(4))),
+                sd.map_or_else(Html::default, |sd| number_to(sd, 1)),
                 sd.map_or_else(Html::default, |sd| format!("{:.2} %", 100.0 * sd / value.abs()).into()),
             ]);
         }
@@ -381,7 +387,7 @@ fn residuals(done: &Identification) -> String {
     let ((a, of_a), (c, of_c), (b, of_b)) = (found.auto_outside(), found.cross_outside(), found.fed_back());
     format!(
         "<h2>Residuals</h2>\n<p>Of the full model, one step ahead: {} RMS. 99 % of the values lie between the lines \
-         when nothing is left to explain. Out of them: {a} of {of_a} lags of the residuals with themselves, {c} of \
+         when nothing is left to explain. Outside: {a} of {of_a} lags of the residuals with themselves, {c} of \
          {of_c} with the input, and {b} of {of_b} below lag 0, where only feedback from the output to the input \
          shows.</p>\n<div class=\"pair\"><div>{}</div><div>{}</div></div>\n",
         number(found.rms),
@@ -409,7 +415,7 @@ fn records_table(provenance: &Provenance) -> String {
             format!("{:.3}", r.jitter_s * 1e3),
             r.delay.as_ref().map_or_else(String::new, |d| {
                 let others = d.others_in_words().map_or_else(String::new, |others| format!(", or {others}"));
-                format!("{:.1} ± {:.1}{others}", d.delay_s * 1e3, d.sd_s * 1e3)
+                format!("{} ± {:.1}{others}", fixed(d.delay_s * 1e3, 1), d.sd_s * 1e3)
             }),
             zero(r),
         ]

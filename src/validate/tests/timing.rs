@@ -178,3 +178,36 @@ fn a_motion_before_its_commands_is_told() {
     };
     assert_eq!((notes(0), notes(60_000_000)), (vec![0, 0], vec![1, 0]));
 }
+
+/// A start found by search is late by the lag: what comes after the last command must not count.
+#[test]
+fn a_searched_start_leaves_out_the_return_to_rest() {
+    for pause_s in [0.01, 0.02] {
+        let mut recording = simulate(circle, pause_s, CORNER_HZ, Spoiled { run_in: 0, ..NOISY });
+        // At rest before and after, away from the circle, as without currents; it returns within half a second.
+        let last = recording.frames.last().unwrap().clone();
+        let middle = (circle(0) + circle(100).coords) / 2.0;
+        let (from, rest) = (last.places[0].point.unwrap(), middle);
+        let at = |point: Point3<f64>, ns: i64| {
+            let mut frame = Frame { stamp_ns: ns, ..last.clone() };
+            frame.places[0].point = Some(point);
+            frame
+        };
+        let frame_ns = 16_666_667;
+        let before = (1..=60).rev().map(|k| at(circle(0), recording.frames[0].stamp_ns - k * frame_ns));
+        let decay = |k: i64| rest + (from - rest) * (-(k as f64) / 10.0).exp();
+        let after = (1..=120).map(|k| at(decay(k), last.stamp_ns + k * frame_ns));
+        recording.frames = before.chain(recording.frames.clone()).chain(after).collect();
+        let run = |start_ns: Option<i64>| {
+            let observed = [Observed { recording: &recording, pause_s, start_ns }];
+            validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0)
+        };
+        let (given, searched) = (run(Some(START_NS)), run(None));
+        assert!(searched.start_ns > START_NS + 50_000_000, "{}", searched.start_ns - START_NS);
+        let (right, found) = (given.alignment.rms_m, searched.alignment.rms_m);
+        assert!(found < 1.1 * right + 1e-5, "{pause_s}: {found} m, with the start given {right} m");
+        assert_eq!(searched.steps.len(), 500);
+        let notes = searched.notes.join("\n");
+        assert!(notes.contains("the last half of a period") && searched.notes.len() == 1, "{notes}");
+    }
+}
