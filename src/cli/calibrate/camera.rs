@@ -77,7 +77,9 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     let noise: Vec<toml::Value> =
         (0..done.noise_covariance.nrows()).map(|i| done.noise_covariance[(i, i)].sqrt().into()).collect();
     provenance.insert("lens_sd_by_noise".into(), noise.into());
-    provenance.insert("board_bend_mm".into(), done.shape.bend_m.map(|m| m * 1e3).to_vec().into());
+    let bend_mm: Vec<f64> = done.shape.bend_m().iter().map(|m| m * 1e3).collect();
+    provenance.insert("board_bend_mm".into(), bend_mm.into());
+    provenance.insert("board_stretch".into(), done.shape.stretch().into());
     draft.provenance.insert("camera".into(), provenance.into());
     let written = save(&draft, &args.out)?;
     print(&format!("\n{written}\n"))
