@@ -16,6 +16,7 @@
 //! its pair of cameras, with centres 15 px apart, a half-and-half mixture is detected.
 
 use crate::calibrate::bundle::clusters::Part;
+use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
 use crate::calibrate::geometry::Parameter;
 use crate::optics::Lens;
@@ -176,9 +177,17 @@ fn solved_apart(solved: &Solution, corners: &[Corner], first: &[bool]) -> Option
         pictures.clone().filter(|(_, cluster)| first.get(**cluster) == Some(&which)).map(|(i, _)| i).collect()
     };
     let groups: [Vec<usize>; 2] = [group(true), group(false)];
-    let of = |group: &Vec<usize>| solved.of_pictures(group, corners).solve().ok();
+    let of = |group: &Vec<usize>| of_group(solved, corners, group).solve().ok();
     let solutions = [of(&groups[0])?, of(&groups[1])?];
     Some((groups, solutions))
+}
+
+/// The problem of some pictures. All show one board: its shape is that found from all of them.
+fn of_group(solved: &Solution, corners: &[Corner], group: &[usize]) -> Bundle {
+    let mut own = solved.of_pictures(group, corners);
+    own.corners.iter_mut().for_each(|corner| corner.place = solved.shape.place(&corner.place));
+    own.shape = Shape::rigid();
+    own
 }
 
 fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<Split> {
@@ -203,7 +212,7 @@ fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<S
 /// For each cluster, the sum of squares with a lens, the poses being free.
 fn squares(solved: &Solution, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64>> {
     let all: Vec<usize> = (0..solved.poses.len()).collect();
-    let mut bundle: Bundle = solved.of_pictures(&all, corners);
+    let mut bundle = of_group(solved, corners, &all);
     bundle.geometry.lens = *lens;
     bundle.free = Vec::new();
     let left = bundle.search().ok()?.left_px().ok()?;

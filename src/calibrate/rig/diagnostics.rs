@@ -104,7 +104,8 @@ pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> 
     doubts
 }
 
-/// Distance of a prior from the result of everything else, in their combined standard deviations. `None` when the rest has next to no information.
+/// Distance of a prior from the result of everything else, in their combined standard deviations. `None` when the rest
+/// has next to no information.
 ///
 /// A prior's residual is small where the pictures have little information, so it is compared with its own covariance.
 /// Poses are taken as solved.
