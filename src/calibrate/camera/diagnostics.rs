@@ -4,7 +4,6 @@
 
 use super::CameraCalibration;
 use super::models::Model;
-use crate::calibrate::bundle::shape::STRETCH;
 use crate::calibrate::least_squares::sigmas;
 use crate::optics::Lens;
 use nalgebra::{DVector, Point2, Vector2};
@@ -101,7 +100,7 @@ pub enum CameraDiagnostic {
     /// A print whose squares are not square.
     #[error(
         "the print is stretched: along its rows it is longer by {percent:.2} ± {sd_percent:.2} % than along its columns. \
-         It is allowed for, but by the mean of both sides; measure the grid, and print it again, without scaling"
+         It is allowed for, with the mean of both sides as stated; measure the grid, and print it again, without scaling"
     )]
     Stretched {
         /// Longer along rows by so many per cent; negative if along columns.
@@ -148,7 +147,7 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     if off > ASPECT_REPORTED.0 * sd && off > ASPECT_REPORTED.1 {
         all.push(CameraDiagnostic::Aspect { ratio, sd });
     }
-    let (stretch, sd) = (done.shape.stretch(), done.shape_covariance[(STRETCH, STRETCH)].sqrt());
+    let (stretch, sd) = (done.shape.stretch(), done.stretch_sd());
     if stretch.abs() > STRETCH_REPORTED.0 * sd && stretch.abs() > STRETCH_REPORTED.1 {
         all.push(CameraDiagnostic::Stretched { percent: 100.0 * stretch, sd_percent: 100.0 * sd });
     }
