@@ -104,8 +104,7 @@ fn diagnosed(board: &str, pictures: &[BoardPicture]) -> Vec<CameraDiagnostic> {
     done.diagnostics
 }
 
-/// OpenCV's pair of cameras looks at one board: mixed together, their pictures are separated, all but one: a
-/// board of free shape can make up for another lens in a single picture.
+/// OpenCV's pair of cameras looks at one board: mixed together, their pictures are separated, all but one.
 #[test]
 fn pictures_of_two_cameras_are_told_apart() {
     let [left, right] = ["chess_9x6_left.csv", "chess_9x6.csv"].map(|set| pictures(set, [640, 480]));

@@ -9,7 +9,9 @@
 //! reported only if they differ by more than their covariances, which include the scatter of one camera's pictures, and
 //! fit the corners better than one. Where they fit no better, because depth makes up for a change of focus or zoom, the
 //! pictures before and after some moments in their order are compared: of so few splits none is chosen to differ, so
-//! that focal lengths or principal points that differ clearly are enough. The board's shape is then that of all.
+//! that focal lengths or principal points that differ clearly are enough.
+//!
+//! All groups have the board's shape as found from all pictures: one shape for each would make up for another lens.
 //!
 //! Cannot tell: groups of fewer than four clusters; lenses that differ less than other errors of the pictures. Of
 //! OpenCV's twelve pictures of one camera, half of them enlarged, in any order, is detected at 5 %, at 3 % hardly. For
@@ -67,7 +69,7 @@ fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> 
     let at = |part: f64| {
         let (before, _) = order.split_at_checked((part * order.len() as f64).round() as usize)?;
         let first: Vec<bool> = (0..solved.parts.len()).map(|cluster| before.contains(&cluster)).collect();
-        let (groups, [a, b]) = solved_apart(solved, &first, |group| of_group(solved, corners, group))?;
+        let (groups, [a, b]) = solved_apart(solved, corners, &first)?;
         let lenses = [a.geometry.lens, b.geometry.lens];
         let [f, c] = [|lens: &Lens| lens.focal_px, |lens: &Lens| lens.principal_point_px.coords]
             .map(|of| of(&lenses[0]) - of(&lenses[1]));
@@ -171,11 +173,7 @@ fn settled(parts: &[Part], mut first: Vec<bool>) -> Option<(f64, Vec<bool>)> {
 
 /// The pictures of the clusters in the `first` group and those of the others, each group solved by itself; `None` where
 /// one is too small, or has no solution.
-fn solved_apart(
-    solved: &Solution,
-    first: &[bool],
-    problem: impl Fn(&[usize]) -> Bundle,
-) -> Option<([Vec<usize>; 2], [Solution; 2])> {
+fn solved_apart(solved: &Solution, corners: &[Corner], first: &[bool]) -> Option<([Vec<usize>; 2], [Solution; 2])> {
     if [true, false].iter().any(|which| first.iter().filter(|first| *first == which).count() < MIN_CLUSTERS) {
         return None;
     }
@@ -184,7 +182,7 @@ fn solved_apart(
         pictures.clone().filter(|(_, cluster)| first.get(**cluster) == Some(&which)).map(|(i, _)| i).collect()
     };
     let groups: [Vec<usize>; 2] = [group(true), group(false)];
-    let of = |group: &Vec<usize>| problem(group).solve().ok();
+    let of = |group: &Vec<usize>| of_group(solved, corners, group).solve().ok();
     let solutions = [of(&groups[0])?, of(&groups[1])?];
     Some((groups, solutions))
 }
@@ -200,8 +198,7 @@ fn of_group(solved: &Solution, corners: &[Corner], group: &[usize]) -> Bundle {
 fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<Split> {
     let mut best: Option<Split> = None;
     for _ in 0..MAX_ROUNDS {
-        let problem = |group: &[usize]| solved.of_pictures(group, corners);
-        let Some((groups, [a, b])) = solved_apart(solved, &first, problem) else { break };
+        let Some((groups, [a, b])) = solved_apart(solved, corners, &first) else { break };
         let [by_a, by_b] = [&a, &b].map(|lens| squares(solved, &lens.geometry.lens, corners));
         let (Some(by_a), Some(by_b)) = (by_a, by_b) else { break };
         let left = by_a.iter().zip(&by_b).map(|(a, b)| a.min(*b)).sum();
@@ -220,7 +217,7 @@ fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<S
 /// For each cluster, the sum of squares with a lens, the poses being free.
 fn squares(solved: &Solution, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64>> {
     let all: Vec<usize> = (0..solved.poses.len()).collect();
-    let mut bundle = solved.of_pictures(&all, corners);
+    let mut bundle = of_group(solved, corners, &all);
     bundle.geometry.lens = *lens;
     bundle.free = Vec::new();
     let left = bundle.search().ok()?.left_px().ok()?;
