@@ -43,6 +43,8 @@ const REST_SD_M: (f64, f64) = (10e-3, 5e-3);
 const MAX_REST_COST: f64 = 40.0;
 /// So far from there a band is not the base band.
 const OTHER_BASE_M: f64 = 20e-3;
+/// With another catheter in view, a marker is that of the first if it is within this of where it was.
+const GOES_ON_M: f64 = 12e-3;
 /// Two choices further apart than this are different positions; the second must cost this much more.
 const DIFFERENT_M: f64 = 3e-3;
 const CLEAR_COST: f64 = 4.0;
@@ -150,11 +152,9 @@ impl Assigner {
                         candidates[m].iter().filter(|c| c.cost < candidates[m][chosen].cost + CLEAR_COST).count();
                     return Err(Miss::Ambiguous { candidates: close.max(2) });
                 }
-                // If this is that of another catheter, its own is seen elsewhere.
-                let reached =
-                    |c: &Candidate| m > 0 && others.iter().any(|other| reaches(rig, m, other, &c.assigned.point));
-                let is_elsewhere = |c: &Candidate| (c.assigned.point - here.point).norm() > OTHER_BASE_M;
-                if reached(&candidates[m][chosen]) && !candidates[m].iter().any(|c| is_elsewhere(c) && reached(c)) {
+                let recent = self.recent(m, stamp);
+                let goes_on = recent.is_some_and(|(place, _)| (here.point - place).norm() < GOES_ON_M);
+                if m > 0 && !goes_on && others.iter().any(|other| reaches(rig, m, other, &here.point)) {
                     return Err(Miss::Ambiguous { candidates: 2 });
                 }
                 Ok(here.clone())

@@ -37,7 +37,7 @@ pub(crate) struct Judge {
     pub usual: Usual,
     first_colours: FirstColours,
     noisier: Noisier,
-    /// Ratio of each band's expected size to its blob's.
+    /// Ratio of a band's expected size to its blob's.
     usual_size: Usual,
     /// Widths of each band in each view.
     usual_widths: UsualWidths,
@@ -104,21 +104,18 @@ impl Judge {
             let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);
             *mean += (now - *mean) / DISAGREEMENT_FRAMES;
             fit.covariance *= (*mean - 1.0).max(1.0);
-            // Of each band: its expected area over that of its blob.
+            // Expected area of the reference band over that of its blob.
             let missing = |v: usize, view: &ViewFit| {
-                let of_band = |&(marker, s): &(usize, f64)| {
-                    let blob = found.assigned[marker].as_ref().ok()?.blobs[v]?;
-                    let knot = view.image.at_arc(s);
-                    let expected = 2.0 * knot.half_width * knot.scale * rig.markers[marker].length_m;
-                    Some((marker, expected / found.blobs[blob].area_px2))
-                };
-                group.members.iter().filter_map(of_band).collect()
+                let blob = found.assigned[group.reference].as_ref().ok()?.blobs[v]?;
+                let knot = view.image.at_arc(0.0);
+                let expected = 2.0 * knot.half_width * knot.scale * rig.markers[group.reference].length_m;
+                Some(expected / found.blobs[blob].area_px2)
             };
-            let sizes: Vec<Vec<_>> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
+            let sizes: Vec<_> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
             let signs = residuals.iter().zip(&fit.views).zip(&sizes);
-            let signs = signs.map(|((&Residual { alike, view: v, rms }, view), sizes)| {
-                let of_sizes = sizes.iter().map(|&(marker, size)| self.usual_size.above(marker, v, size, 0.0));
-                let of_sizes = of_sizes.fold(0.0, f64::max).min(MAX_SIZE_TERM);
+            let signs = signs.map(|((&Residual { alike, view: v, rms }, view), size)| {
+                let of_size =
+                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size, 0.0)).min(MAX_SIZE_TERM);
                 let half_px = view.image.at_arc(0.0).half_width;
                 let of_widths = group.members.iter().zip(&view.widths).map(|((marker, _), width)| {
                     (self.usual_widths.unusual_sd(*marker, v, width, half_px) - CHANCE_SD).max(0.0)
@@ -128,7 +125,7 @@ impl Judge {
                     true => self.usual.above(alike, v, rms, common),
                     false => self.usual.above_alike(alike, v, rms),
                 };
-                of_residuals.hypot(of_sizes).hypot(of_widths)
+                of_residuals.hypot(of_size).hypot(of_widths)
             });
             let signs: Vec<f64> = signs.collect();
             let all = signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt();
@@ -141,15 +138,15 @@ impl Judge {
                 *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
                 continue;
             }
-            for ((Residual { view: v, rms, .. }, view), sizes) in residuals.iter().zip(&fit.views).zip(sizes) {
+            for ((Residual { view: v, rms, .. }, view), size) in residuals.iter().zip(&fit.views).zip(sizes) {
                 self.usual.add(group.reference, *v, *rms);
                 self.first_colours.add((group, *v, view));
                 let half_px = view.image.at_arc(0.0).half_width;
                 for ((marker, _), width) in group.members.iter().zip(&view.widths) {
                     self.usual_widths.add(*marker, *v, width, half_px);
                 }
-                for (marker, size) in sizes {
-                    self.usual_size.add(marker, *v, size);
+                if let Some(size) = size {
+                    self.usual_size.add(group.reference, *v, size);
                 }
             }
             if views.iter().all(|v| self.usual.is_known(group.reference, *v)) {
