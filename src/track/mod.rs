@@ -10,6 +10,7 @@ mod chunk;
 mod coil;
 mod compare;
 mod covariance;
+pub(crate) mod curve;
 mod equations;
 mod fields;
 mod find;
