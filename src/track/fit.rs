@@ -214,7 +214,16 @@ impl Fitting<'_> {
         let views = seen
             .map(|((image, range_m), expected)| View::select(stretch, *range_m, image, picture, model, how, expected));
         let views = views.collect::<Result<Vec<_>, _>>()?;
-        Ok(Round { stretch, paths: &self.paths, blurs_px: &self.blurs_px, picture, model, sweep: self.sweep.as_ref(), rests, views })
+        Ok(Round {
+            stretch,
+            paths: &self.paths,
+            blurs_px: &self.blurs_px,
+            picture,
+            model,
+            sweep: self.sweep.as_ref(),
+            rests,
+            views,
+        })
     }
 }
 

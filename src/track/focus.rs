@@ -151,13 +151,11 @@ mod tests {
         let (mut focus, mut random) = (Focus::new(taught_px.to_vec(), false), Random::new(3));
         for _ in 0..20 * FRAMES.0 {
             // As of real pictures: flatter far away.
-            let misfit = |blur: f64, true_px: f64| {
-                0.5 * (0.5 + (blur / true_px).ln().powi(2)).ln() + noise * random.normal()
-            };
+            let misfit =
+                |blur: f64, true_px: f64| 0.5 * (0.5 + (blur / true_px).ln().powi(2)).ln() + noise * random.normal();
             let mut misfit = misfit;
-            let of_views = [0, 1].map(|v| {
-                (v, [(-STEP).exp(), 1.0, STEP.exp()].map(|by| misfit(focus.blurs_px[v] * by, true_px[v])))
-            });
+            let of_views = [0, 1]
+                .map(|v| (v, [(-STEP).exp(), 1.0, STEP.exp()].map(|by| misfit(focus.blurs_px[v] * by, true_px[v]))));
             let mean = |k: usize| f64::midpoint(of_views[0].1[k], of_views[1].1[k]);
             focus.add([mean(0), mean(1), mean(2)], &of_views);
         }

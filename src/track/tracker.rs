@@ -353,9 +353,8 @@ impl Tracker {
                 self.begin_resting();
             }
         } else if let Some(ways) = self.blending.tries(frame.stamp, moved_px) {
-            let with = |way: &f64| {
-                self.fitting(frame, found, self.focus.blurs_px(), TRACKED_PX).again(of_coil, Some(*way))
-            };
+            let with =
+                |way: &f64| self.fitting(frame, found, self.focus.blurs_px(), TRACKED_PX).again(of_coil, Some(*way));
             if let Some([less, more]) = both(&ways, with)
                 && self.blending.add([less.misfit, more.misfit])
             {

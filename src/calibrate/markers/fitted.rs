@@ -3,7 +3,7 @@
 
 use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped, clipped_mean};
 use crate::calibrate::markers::line_search::minimise;
-use crate::calibrate::markers::{MarkersError, track};
+use crate::calibrate::markers::{MarkersError, track, view_blurs};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
 use crate::rig::{Marker, Rig};
@@ -200,9 +200,9 @@ pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> 
     rig.markers.iter().enumerate().map(fitted).collect()
 }
 
-/// Blur, chroma offset, gamma and, unless it is stated, exposure. A wrong gamma and motion both look like blur: once
-/// they are known, blur is fitted again.
-pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
+/// Blur, chroma offset, gamma and, unless it is stated, exposure; returns σ of each view's blur, pixels. A wrong gamma
+/// and motion both look like blur: once they are known, blur is fitted again.
+pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
     sharpen(rig, frames, followers);
     rig.camera.gamma = gamma(rig, frames, followers);
     if rig.camera.gamma.is_some() {
@@ -214,7 +214,8 @@ pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Resu
             sharpen(rig, frames, followers);
         }
     }
-    Ok(())
+    // Last: motion that is not modelled blurs views differently.
+    Ok(view_blurs::find(rig, &every(frames, JUDGING_FRAMES), followers))
 }
 
 /// The power of light that the camera stores, where it explains the pictures clearly better than the transfer function
@@ -242,7 +243,7 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
     clearly.then(|| (gamma * 1e3).round() / 1e3)
 }
 
-/// Blur and chroma offset.
+/// Blur, common to all views, and chroma offset.
 fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
     let some = every(frames, TUNING_FRAMES);
     let subsampled = some.first().is_some_and(|f| f.picture.format().is_subsampled());
@@ -256,7 +257,7 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
             changed.camera.blur_px = Some(blur);
             changed
         };
-        if let Some(best) = minimise(blur, 0.1 * finer, (0.3, 3.0), |b| compared.excess(&with_blur(b))) {
+        if let Some(best) = minimise(blur, 0.1 * finer, view_blurs::LIMITS_PX, |b| compared.excess(&with_blur(b))) {
             blur = best.at;
         }
         *rig = with_blur(blur);
