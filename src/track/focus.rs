@@ -1,11 +1,11 @@
 //! Follows the blur of the pictures, where it is no longer that on which the bands were taught: a lens that was moved,
-//! a camera that sharpens, a mirror that fogs. With a wrong blur bands are off by some tenths of a pixel, and no residual
-//! tells.
+//! a camera that sharpens, a mirror that fogs. With a wrong blur bands are off by some tenths of a pixel, and no
+//! residual tells.
 //!
 //! Method. Some frames are fitted with more and with less blur too. Three misfits give slope and curvature over the
 //! logarithm of the blur, and over several frames its minimum (curve.rs): the criterion by which the bands are taught.
-//! Motion blurs as well: unless the exposure is known, and its blur modelled, only frames in which the coil hardly moves
-//! count. What the pose of the catheter and a coder do to the minimum stays below a quarter of the blur. If it is
+//! Motion blurs as well: unless the exposure is known, and its blur modelled, only frames in which the coil hardly
+//! moves count. What the pose of the catheter and a coder do to the minimum stays below a quarter of the blur. If it is
 //! further away, and that is no chance, the blur moves there in steps. The misfit of each view tells the same of that
 //! view: where they differ by more than a quarter, each follows its own, else all follow the common one, which is known
 //! better.
@@ -22,8 +22,8 @@ use crate::track::trials::Trials;
 const DEFAULT_BLUR_PX: f64 = 0.6;
 /// Frames for a decision: whether the blur is another one, and how far it is, once that is known.
 const FRAMES: (usize, usize) = (12, 5);
-/// Distance of the minimum from which the blur follows, difference of the logarithm: at first, and once it has. The same
-/// for how far views are from each other.
+/// Distance of the minimum from which the blur follows, difference of the logarithm: at first, and once it has. The
+/// same for how far views are from each other.
 const FOLLOWS: (f64, f64) = (0.22, 0.05);
 /// Limits of the blur, pixels.
 const LIMITS_PX: (f64, f64) = (0.25, 4.0);
@@ -151,11 +151,11 @@ mod tests {
         let (mut focus, mut random) = (Focus::new(taught_px.to_vec(), false), Random::new(3));
         for _ in 0..20 * FRAMES.0 {
             // As of real pictures: flatter far away.
-            let misfit =
-                |blur: f64, true_px: f64| 0.5 * (0.5 + (blur / true_px).ln().powi(2)).ln() + noise * random.normal();
-            let mut misfit = misfit;
-            let of_views = [0, 1]
-                .map(|v| (v, [(-STEP).exp(), 1.0, STEP.exp()].map(|by| misfit(focus.blurs_px[v] * by, true_px[v]))));
+            let mut misfit = |off: f64| 0.5 * (0.5 + off.powi(2)).ln() + noise * random.normal();
+            let of_views = [0, 1].map(|v| {
+                let off = (focus.blurs_px[v] / true_px[v]).ln();
+                (v, [off - STEP, off, off + STEP].map(&mut misfit))
+            });
             let mean = |k: usize| f64::midpoint(of_views[0].1[k], of_views[1].1[k]);
             focus.add([mean(0), mean(1), mean(2)], &of_views);
         }

@@ -1,9 +1,9 @@
-//! Blur of each view. What a mirror shows is farther away, and a mirror may be dirty, so that one view may be less sharp
-//! than the others; with a common blur bands are then off by some tenths of a pixel, and no residual tells.
+//! Blur of each view. What a mirror shows is farther away, and a mirror may be dirty, so that one view may be less
+//! sharp than the others; with a common blur bands are then off by some tenths of a pixel, and no residual tells.
 //!
-//! Method. Beginning with the common blur, the misfit with less and with more blur in one view gives the distance to the
-//! best one, with σ from the scatter of the frames. Unless two views differ by more than chance and by more than frames
-//! of one recording do, all share the common blur: it is known better.
+//! Method. Beginning with the common blur, the misfit with less and with more blur in one view gives the distance to
+//! the best one, with σ from the scatter of the frames. Unless two views differ by a tenth or more, and that is no
+//! chance, all share the common blur: it is known better.
 
 use crate::calibrate::markers::compared::{Compared, clipped};
 use crate::rig::Rig;
