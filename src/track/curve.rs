@@ -2,8 +2,8 @@
 
 /// How much less and more blur is tried: difference of its logarithm.
 pub(crate) const STEP: f64 = 0.2;
-/// Longest move at a time, difference of the logarithm: of a curve without a minimum nearby, this far.
-pub(crate) const LONGEST_MOVE: f64 = 0.4;
+/// Longest move at a time, difference of the logarithm: where the minimum is further away, or none is nearby.
+const LONGEST_MOVE: f64 = 0.4;
 /// Standard deviations beyond which a distance is no chance.
 const SIGNIFICANT_SD: f64 = 4.0;
 
@@ -15,11 +15,13 @@ pub(crate) struct Curve {
     pub curvatures: Vec<f64>,
 }
 
-/// How far the best blur is from the present one, and σ, as differences of the logarithm.
+/// How far the best blur is from the present one, as difference of the logarithm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Distance {
     pub log: f64,
     pub sd: f64,
+    /// σ from the slope alone: a distance of none has this.
+    pub chance_sd: f64,
 }
 
 impl Curve {
@@ -31,32 +33,41 @@ impl Curve {
 
     /// `None` where the frames do not tell: they have no minimum nearby, and their slope may be chance.
     pub(crate) fn distance(&self) -> Option<Distance> {
-        let count = self.slopes.len() as f64;
-        let slope = self.slopes.iter().sum::<f64>() / count;
-        let variance = self.slopes.iter().map(|one| (one - slope).powi(2)).sum::<f64>() / (count - 1.0) / count;
-        let curvature = self.curvatures.iter().sum::<f64>() / count;
-        if curvature > 0.0 {
-            return Some(Distance { log: -slope / curvature, sd: variance.sqrt() / curvature });
+        let (slope, slope_sd) = mean_with_sd(&self.slopes);
+        let (curvature, curvature_sd) = mean_with_sd(&self.curvatures);
+        let log = -slope / curvature;
+        if curvature > 0.0 && log.abs() < LONGEST_MOVE {
+            let sd = slope_sd.hypot(log * curvature_sd) / curvature;
+            return Some(Distance { log, sd, chance_sd: slope_sd / curvature });
         }
-        let far = slope.abs() > SIGNIFICANT_SD * variance.sqrt();
-        far.then(|| Distance { log: -slope.signum() * LONGEST_MOVE, sd: 0.0 })
+        let far = slope.abs() > SIGNIFICANT_SD * slope_sd;
+        far.then(|| Distance { log: -slope.signum() * LONGEST_MOVE, sd: 0.0, chance_sd: 0.0 })
     }
+}
+
+/// The mean of independent values, and its σ from their scatter.
+pub(crate) fn mean_with_sd(values: &[f64]) -> (f64, f64) {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let variance = values.iter().map(|one| (one - mean).powi(2)).sum::<f64>() / (count - 1.0) / count;
+    (mean, variance.sqrt())
 }
 
 impl Distance {
     /// Whether it is more than this, and no chance.
     pub(crate) fn exceeds(&self, least: f64) -> bool {
-        self.log.abs() > least && self.log.abs() > SIGNIFICANT_SD * self.sd
+        self.log.abs() > least && self.log.abs() > SIGNIFICANT_SD * self.chance_sd
     }
 
     /// Whether another is further than this away, and that is no chance.
     pub(crate) fn differs(&self, other: &Self, least: f64) -> bool {
-        Self { log: self.log - other.log, sd: self.sd.hypot(other.sd) }.exceeds(least)
+        let off = (self.log - other.log).abs();
+        off > least && off > SIGNIFICANT_SD * self.sd.hypot(other.sd)
     }
 
     /// The factor by which the blur moves there, or on the way there.
     pub(crate) fn factor(&self) -> f64 {
-        self.log.clamp(-LONGEST_MOVE, LONGEST_MOVE).exp()
+        self.log.exp()
     }
 }
 
@@ -93,7 +104,7 @@ mod tests {
 
     #[test]
     fn views_are_apart_only_by_more_than_chance_and_more_than_the_least() {
-        let distance = |log, sd| Some(Distance { log, sd });
+        let distance = |log, sd| Some(Distance { log, sd, chance_sd: sd });
         assert!(are_apart(&[distance(0.0, 0.01), distance(0.3, 0.02)], 0.2));
         assert!(!are_apart(&[distance(0.0, 0.01), distance(0.3, 0.1)], 0.2));
         assert!(!are_apart(&[distance(0.0, 0.01), distance(0.15, 0.02)], 0.2));
@@ -103,7 +114,7 @@ mod tests {
     #[test]
     fn without_a_minimum_nearby_it_is_far_or_unknown() {
         let falling = Curve { slopes: vec![-1.0, -1.1, -0.9], curvatures: vec![-0.1; 3] };
-        assert_eq!(falling.distance(), Some(Distance { log: LONGEST_MOVE, sd: 0.0 }));
+        assert_eq!(falling.distance(), Some(Distance { log: LONGEST_MOVE, sd: 0.0, chance_sd: 0.0 }));
         let flat = Curve { slopes: vec![-1.0, 1.1, 0.3], curvatures: vec![-0.1; 3] };
         assert_eq!(flat.distance(), None);
         assert_eq!(Curve::default().distance(), None);

@@ -190,7 +190,7 @@ mod tests {
         for true_px in [[0.5, 0.93], [0.5, 0.7], [0.8, 0.5], [0.35, 0.9]] {
             assert_found(&followed([0.5; 2], true_px, 0.02), true_px);
         }
-        assert!((followed([0.5; 2], [0.5, 0.93], 0.02).blurs_px[0] - 0.5).abs() < 1e-12);
+        assert!((followed([0.5; 2], [0.5, 0.93], 0.005).blurs_px[0] - 0.5).abs() < 1e-12);
     }
 
     #[test]
