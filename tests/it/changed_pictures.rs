@@ -188,8 +188,9 @@ fn one_view_out_of_focus_is_warned_of_and_tracked_with_its_blur() {
     let soft = frames(0, 120, |picture| composed(picture, &blurred(picture), BETWEEN));
     let ((sharp, silent), (soft, warned)) = (tracked(&sharp), tracked(&soft));
     assert!(!silent && warned);
-    let (mean, count) = mean_square(&sharp[80..], &soft[80..], 1..2);
-    assert!(count > 30 && mean < 1.0, "{mean} of {count} frames");
+    // Of the base, whose σ is smallest; with the blur that is best for both views it is 0.6.
+    let (mean, count) = mean_square(&sharp[80..], &soft[80..], 0..1);
+    assert!(count > 30 && mean < 0.45, "{mean} of {count} frames");
 }
 
 /// Frames that were changed.
