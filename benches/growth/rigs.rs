@@ -115,7 +115,7 @@ fn rig(setup: &Setup) -> Result<Rig, Box<dyn Error + Send + Sync>> {
             surfaces.insert(format!("mirror{view}"), mirror);
         }
         let optics = OpticalPath { lens, surfaces: path.iter().map(|name| surfaces[name]).collect() };
-        views.push(View { name: format!("view{view}"), path, optics, region_px: Vec::new() });
+        views.push(View { name: format!("view{view}"), path, optics, region_px: Vec::new(), blur_px: None });
     }
     // The picture is divided halfway between the images.
     let middles = views

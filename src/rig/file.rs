@@ -65,6 +65,7 @@ pub(super) struct ViewFile {
     pub name: String,
     pub path: Vec<String>,
     pub region_px: Option<Vec<[f64; 2]>>,
+    pub blur_px: Option<f64>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -135,6 +135,11 @@ impl Rig {
     pub fn view(&self, name: &str) -> Option<usize> {
         self.views.iter().position(|v| v.name == name)
     }
+
+    /// Blur of each view, pixels: its own, or else the camera's; `None` where neither is known.
+    pub fn blurs_px(&self) -> impl Iterator<Item = Option<f64>> {
+        self.views.iter().map(|view| view.blur_px.or(self.camera.blur_px))
+    }
 }
 
 impl View {
@@ -151,7 +156,8 @@ pub struct Camera {
     pub size_px: [u32; 2],
     /// The lens.
     pub lens: Lens,
-    /// Blur of lens and sensor: standard deviation of the point spread, pixels, once measured.
+    /// Blur of lens and sensor: standard deviation of the point spread, pixels, once measured; that of all views that
+    /// have none of their own.
     pub blur_px: Option<f64>,
     /// Offset of the chroma samples from where the stream's siting puts them, pixels (right, down): recorders often tag
     /// one siting and sample at another. Zero unless measured.
@@ -177,6 +183,9 @@ pub struct View {
     pub optics: OpticalPath,
     /// Where in the picture this view is: polygon, pixels; empty means anywhere.
     pub region_px: Vec<Point2<f64>>,
+    /// Its own blur, pixels, where it was measured to differ from that of the others: what is seen in a mirror is
+    /// farther away, and a mirror may be dirty.
+    pub blur_px: Option<f64>,
 }
 
 /// A coloured band.

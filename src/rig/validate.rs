@@ -279,7 +279,11 @@ impl Check<'_> {
             ));
         }
         let region_px = raw.region_px.map(|corners| self.region(key("region_px"), &corners, camera)).transpose()?;
-        let view = View { path: raw.path, optics, region_px: region_px.unwrap_or_default(), name: name.clone() };
+        if let Some(blur) = raw.blur_px {
+            self.positive(key("blur_px"), blur)?;
+        }
+        let region_px = region_px.unwrap_or_default();
+        let view = View { path: raw.path, optics, region_px, blur_px: raw.blur_px, name: name.clone() };
         self.path_leads_somewhere(&view, camera)?;
         Ok(view)
     }

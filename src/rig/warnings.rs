@@ -266,7 +266,10 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
             found.extend(base_doubts(base).into_iter().map(|what| Warning::Directions { what }));
         }
     }
-    found.extend((begun && rig.camera.blur_px.is_none()).then_some(Warning::NoBlur));
+    found.extend(
+        (begun && rig.camera.blur_px.is_none() && rig.views.iter().any(|view| view.blur_px.is_none()))
+            .then_some(Warning::NoBlur),
+    );
     found
 }
 

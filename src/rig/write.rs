@@ -140,6 +140,9 @@ fn view(first: bool, view: &View) -> String {
         let corners = view.region_px.iter().map(|c| list(c.iter().map(|v| decimal(*v, 9))));
         let _ = writeln!(text, "region_px = {}", list(corners));
     }
+    if let Some(blur) = view.blur_px {
+        let _ = writeln!(text, "blur_px = {}", decimal(blur, 9));
+    }
     text
 }
 

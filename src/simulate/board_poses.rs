@@ -71,6 +71,7 @@ impl BoardPoses {
                 path: Vec::new(),
                 optics: OpticalPath { lens: self.rig.camera.lens, surfaces: Vec::new() },
                 region_px: Vec::new(),
+                blur_px: None,
             }],
         };
         Boards::new(self.rig.camera.size_px, views, board, blur_px, sensor)

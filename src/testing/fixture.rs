@@ -19,6 +19,7 @@ pub(crate) fn rig() -> Rig {
         path: Vec::new(),
         optics: OpticalPath { lens, surfaces: Vec::new() },
         region_px: Vec::new(),
+        blur_px: None,
     };
     let marker = |name: &str, length_m: f64, rgb: Option<[f64; 3]>| Marker {
         usual_residuals: Vec::new(),

@@ -7,7 +7,6 @@
 use crate::track::appearance::{
     Across, BACKGROUND, CAP, Edges, FIXED, GRADIENT, HARMONICS, Layout, PER_SEGMENT, SHADING, TURNING,
 };
-use crate::track::image_model::ImageModel;
 use crate::track::light::Encoding;
 use crate::track::normal::{
     ROW, ROW_ACROSS, ROW_ALONG, ROW_BACKGROUND, ROW_BEFORE, ROW_BEHIND, ROW_BULGE, ROW_CAP, ROW_GRADIENT, ROW_SHADING,
@@ -94,10 +93,10 @@ impl<'a> Scene<'a> {
         turns: &'a [Vector2<f64>],
         colours: &'a [f64],
         stretch: &'a Stretch,
-        model: &'a ImageModel,
+        encoding: &'a Encoding,
+        blur_px: f64,
     ) -> Self {
-        let ImageModel { encoding, blur_px, .. } = model;
-        Self { image, turns, layout: &stretch.layout, colours, blur_px: *blur_px, encoding }
+        Self { image, turns, layout: &stretch.layout, colours, blur_px, encoding }
     }
 
     pub(crate) fn light(&self) -> Light<'a> {

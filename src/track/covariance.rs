@@ -29,16 +29,16 @@ impl Round<'_> {
         let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();
         // The residuals do not contain the priors' information.
         let mut covariance = plain * shape_prior() * plain;
-        let Round { mut views, stretch, picture, model, rests, .. } = self;
+        let Round { mut views, stretch, picture, model, blurs_px, rests, .. } = self;
         let Guess { images, colours, turns, .. } = &state.guess;
-        let compared = views.par_iter_mut().zip(images).zip(colours).zip(&seen);
-        let scatter = compared.map(|(((view, image), colours), eliminated)| {
+        let compared = views.par_iter_mut().zip(blurs_px).zip(images).zip(colours).zip(&seen);
+        let scatter = compared.map(|((((view, blur_px), image), colours), eliminated)| {
             let of_colours = -plain * eliminated.following();
             let coder_variances = |pixel| {
                 let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
                 steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
             };
-            let scene = Scene::new(image, turns, colours, stretch, model);
+            let scene = Scene::new(image, turns, colours, stretch, &model.encoding, *blur_px);
             let scattered = view.comparison.scatter(&scene, &plain, &of_colours, eliminated, coder_variances);
             (scattered, may_be_coded(picture).then(|| view.comparison.differences()))
         });
@@ -53,9 +53,11 @@ impl Round<'_> {
         }
         let Guess { shape, colours, images, .. } = end;
         let points: Vec<_> = images.iter().map(point_from_pixel).collect();
-        for (((image, point), view), normal) in images.iter().zip(&points).zip(&seen).zip(normals) {
-            let error = model.error.growth(rms(&normal.squares));
-            let moved = plain * view.shape * unmodelled(image, point, stretch, &model.error) * error;
+        let alone = images.iter().zip(&points).zip(&seen).zip(normals).zip(blurs_px);
+        for ((((image, point), view), normal), blur_px) in alone {
+            let error = model.error.blurred(*blur_px);
+            let growth = error.growth(rms(&normal.squares));
+            let moved = plain * view.shape * unmodelled(image, point, stretch, &error) * growth;
             covariance += moved * moved.transpose();
         }
         let inflation = (covariance.fixed_view::<3, 3>(0, 0).trace() / plain.fixed_view::<3, 3>(0, 0).trace()).max(1.0);
@@ -78,6 +80,7 @@ impl Round<'_> {
                 residual_px,
                 residual_covariance_px2,
                 rms,
+                misfit: misfit(std::slice::from_ref(normal)),
                 slip: slips.seen,
                 slip_response: slips.response,
                 rows,

@@ -55,6 +55,8 @@ pub(crate) struct ViewFit {
     pub residual_covariance_px2: Matrix2<f64>,
     /// RMS of the samples' residuals, stored units.
     pub rms: f64,
+    /// As that of the whole fit, from this view alone.
+    pub misfit: f64,
     /// The observed slip of chroma, and the response of the shape to a slip of one pixel to the right, and down.
     pub slip: Seen,
     pub slip_response: SMatrix<f64, SHAPE, 2>,
@@ -113,6 +115,8 @@ pub(crate) struct Fitting<'a> {
     pub picture: &'a Picture,
     /// Of each view.
     pub paths: Vec<&'a OpticalPath>,
+    /// Lens and sensor blur in each view, σ in pixels.
+    pub blurs_px: Vec<f64>,
     /// Arc lengths between which each view shows the stretch.
     pub ranges_m: Vec<(f64, f64)>,
     pub model: &'a ImageModel,
@@ -210,7 +214,16 @@ impl Fitting<'_> {
         let views = seen
             .map(|((image, range_m), expected)| View::select(stretch, *range_m, image, picture, model, how, expected));
         let views = views.collect::<Result<Vec<_>, _>>()?;
-        Ok(Round { stretch, paths: &self.paths, picture, model, sweep: self.sweep.as_ref(), rests, views })
+        Ok(Round {
+            stretch,
+            paths: &self.paths,
+            blurs_px: &self.blurs_px,
+            picture,
+            model,
+            sweep: self.sweep.as_ref(),
+            rests,
+            views,
+        })
     }
 }
 
@@ -233,7 +246,7 @@ mod tests {
         let error =
             ModelError { across_px: 0.0, along_px: 0.0, turn_px: 0.0, along_at_clamp_px: 0.0, ..ModelError::FULL };
         let encoding = Encoding::new(TRANSFER);
-        ImageModel { encoding, blur_px: BLUR_PX, chroma_offset_px: [0.0; 2], error }
+        ImageModel { encoding, chroma_offset_px: [0.0; 2], error }
     }
 
     fn stretch() -> Stretch {
@@ -258,8 +271,9 @@ mod tests {
         model: &'a ImageModel,
         picture: &'a Picture,
     ) -> Fitting<'a> {
-        let (paths, ranges_m): (Vec<_>, _) = (paths.iter().collect(), vec![stretch.range_m; paths.len()]);
-        Fitting { stretch, picture, paths, ranges_m, model, sweep: None, rests: false, margin_px: 4.0 }
+        let ranges_m = vec![stretch.range_m; paths.len()];
+        let (blurs_px, paths) = (vec![BLUR_PX; paths.len()], paths.iter().collect());
+        Fitting { stretch, picture, paths, blurs_px, ranges_m, model, sweep: None, rests: false, margin_px: 4.0 }
     }
 
     fn fit(stretch: &Stretch, start: &TubeShape, picture: &Picture, sweep: Option<Sweep>) -> Result<TubeFit, NoFit> {

@@ -48,6 +48,8 @@ pub(crate) struct Fitted {
 pub(crate) struct GroupFitting<'a> {
     pub rig: &'a Rig,
     pub model: &'a ImageModel,
+    /// Of each view of the rig.
+    pub blurs_px: &'a [f64],
     pub frame: &'a Frame,
     pub found: &'a Found,
     /// For each marker that is the reference of a group: its last fit.
@@ -132,7 +134,7 @@ impl GroupFitting<'_> {
 
     /// What a group is fitted to.
     fn fitting<'b>(&'b self, group: &'b Group, views: &[usize], share: Option<f64>) -> Fitting<'b> {
-        let Self { rig, frame, model, margin_px, .. } = *self;
+        let Self { rig, frame, model, blurs_px, margin_px, .. } = *self;
         let sweep = self.before(group).and_then(|(before, since_s)| {
             let share = share.or_else(|| Some(rig.camera.exposure_s? / since_s))?;
             Some(Sweep { before: before.clone(), share })
@@ -141,6 +143,7 @@ impl GroupFitting<'_> {
             stretch: &group.stretch,
             picture: &frame.picture,
             paths: views.iter().map(|&v| &rig.views[v].optics).collect(),
+            blurs_px: views.iter().map(|&v| blurs_px[v]).collect(),
             ranges_m: views.iter().map(|&v| self.seen_range(group, v)).collect(),
             model,
             sweep,
@@ -277,7 +280,6 @@ mod tests {
     #[test]
     fn a_fit_that_leaves_one_of_its_bands_is_refused() {
         let mut rig = fixture::rig();
-        rig.camera.blur_px = Some(BLUR_PX);
         rig.views.iter_mut().zip(views()).for_each(|(view, optics)| view.optics = optics);
         let colours = [[0.02, -0.02, 0.0], [-0.01, 0.02, -0.01], [-0.01, -0.01, 0.02]];
         for ((marker, (length_m, centre_m)), weights) in
@@ -290,7 +292,6 @@ mod tests {
         let picture = tube.picture(crate::simulate::Sensor::default(), 5);
         let model = ImageModel {
             encoding: Encoding::new(picture.colour().transfer),
-            blur_px: BLUR_PX,
             chroma_offset_px: rig.camera.chroma_offset_px,
             error: ModelError::CODED,
         };
@@ -308,7 +309,8 @@ mod tests {
             let found = Found { blobs: Vec::new(), assigned: assigned.into() };
             let (last, usual) = (vec![None; rig.markers.len()], Usual::new(&rig));
             let (rig, model, frame, found, last, usual) = (&rig, &model, &frame, &found, &last[..], &usual);
-            GroupFitting { rig, model, frame, found, last, usual, base_rests: false, margin_px: 4.0 }
+            let blurs_px = &[BLUR_PX; 2];
+            GroupFitting { rig, model, blurs_px, frame, found, last, usual, base_rests: false, margin_px: 4.0 }
                 .fit(&group, &[0, 1])
         };
         let tip = tube.centre + tube.direction * 22e-3;

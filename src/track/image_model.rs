@@ -1,4 +1,4 @@
-//! Parameters of the image model, and its errors.
+//! Parameters of the image model, and its errors. The blur of each view is beside it, because it may change (focus.rs).
 
 use crate::source::Picture;
 use crate::track::light::Encoding;
@@ -7,10 +7,9 @@ use crate::track::light::Encoding;
 #[derive(Debug, Clone)]
 pub(crate) struct ImageModel {
     pub encoding: Encoding,
-    /// Lens and sensor blur, σ in pixels.
-    pub blur_px: f64,
     /// Offset of the chroma samples from where the stream puts them, pixels.
     pub chroma_offset_px: [f64; 2],
+    /// At the blur at which it was measured.
     pub error: ModelError,
 }
 

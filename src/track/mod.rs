@@ -11,6 +11,7 @@ mod chunk;
 mod coil;
 mod compare;
 mod covariance;
+pub(crate) mod curve;
 mod diameter;
 mod equations;
 mod fields;

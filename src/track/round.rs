@@ -34,6 +34,7 @@ const MIN_DAMPING: f64 = 1e-6;
 pub(crate) struct Round<'a> {
     pub stretch: &'a Stretch,
     pub paths: &'a [&'a OpticalPath],
+    pub blurs_px: &'a [f64],
     pub picture: &'a Picture,
     pub model: &'a ImageModel,
     pub sweep: Option<&'a Sweep>,
@@ -163,17 +164,18 @@ impl Round<'_> {
 
     /// Compares all views, and adds the prior of the shape. Near the state `before` only the gradient is new.
     fn evaluate(&mut self, mut guess: Guess, before: Option<&State>) -> State {
-        let Self { stretch, picture, model, .. } = *self;
+        let Self { stretch, picture, model, blurs_px, .. } = *self;
         // Its matrix is that of its turns: they count times a colour.
         if let Some(before) = before {
             guess.turns.clone_from(&before.guess.turns);
         }
         let turns = &guess.turns;
-        let seen = self.views.par_iter_mut().zip(&guess.images).zip(&guess.colours).enumerate();
+        let seen = self.views.par_iter_mut().zip(blurs_px).zip(&guess.images).zip(&guess.colours).enumerate();
         let views: Vec<_> = seen
-            .map(|(i, ((view, image), colours))| {
+            .map(|(i, (((view, blur_px), image), colours))| {
                 let before = before.and_then(|before| before.equations.views.get(i));
-                view.compare(&Scene::new(image, turns, colours, stretch, model), picture, before)
+                let scene = Scene::new(image, turns, colours, stretch, &model.encoding, *blur_px);
+                view.compare(&scene, picture, before)
             })
             .collect();
         let prior = shape_prior();

@@ -117,12 +117,10 @@ impl Tracker {
     /// When a marker has no colour model.
     pub fn new(rig: &Rig, options: TrackOptions) -> Result<Self, TrackError> {
         let transfer = Transfer::Bt709;
-        let focus = Focus::of(rig);
         Ok(Self {
             finder: Finder::new(rig, options.full_frame)?,
             model: ImageModel {
                 encoding: rig.camera.gamma.map_or_else(|| Encoding::new(transfer), Encoding::power),
-                blur_px: focus.blur_px(),
                 chroma_offset_px: rig.camera.chroma_offset_px,
                 error: ModelError::CODED,
             },
@@ -131,7 +129,7 @@ impl Tracker {
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
-            focus,
+            focus: Focus::of(rig),
             blending: Blending::new(rig.markers.len()),
             lag: Lag::default(),
             order: Order::default(),
@@ -215,7 +213,7 @@ impl Tracker {
         };
         self.pairs.add(picture, &found.blobs);
         let (converted, noisy) = (self.pairs.are_alike(), self.grain.is_sensor());
-        self.model.error = ModelError::of(picture, converted, noisy).blurred(self.model.blur_px);
+        self.model.error = ModelError::of(picture, converted, noisy);
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
         self.judge.judge(&self.rig, &self.model.encoding, &found, &mut fitted);
@@ -261,7 +259,7 @@ impl Tracker {
             (self.judge.usual.is_unlike_learned(), UNLIKE_TAUGHT),
             (self.shake.is_seen(), SHAKES),
             (self.moved.is_seen(), MOVED),
-            (self.focus.has_changed() && self.rig.camera.blur_px.is_some(), OUT_OF_FOCUS),
+            (self.focus.has_changed() && self.rig.blurs_px().all(|blur| blur.is_some()), OUT_OF_FOCUS),
             (self.blending.is_seen(), BLENDED),
             (self.lag.is_seen(), COLOURS_LAG),
             (self.order.is_wrong(), OUT_OF_ORDER),
@@ -281,7 +279,7 @@ impl Tracker {
     /// Errors of the image model common to all frames so far, of which `picture` is one. Noise tells nothing of what
     /// stays.
     pub(crate) fn lasting_error(&self, picture: &Picture) -> ModelError {
-        ModelError::of(picture, self.pairs.are_alike(), false).lasting().blurred(self.model.blur_px)
+        ModelError::of(picture, self.pairs.are_alike(), false).lasting().blurred(self.focus.most_px())
     }
 
     /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were
@@ -317,19 +315,19 @@ impl Tracker {
     }
 
     fn fit(&self, frame: &Frame, found: &Found, margin_px: f64) -> Vec<Fitted> {
-        self.fitting(frame, found, &self.model, margin_px).fit_all()
+        self.fitting(frame, found, self.focus.blurs_px(), margin_px).fit_all()
     }
 
     fn fitting<'a>(
         &'a self,
         frame: &'a Frame,
         found: &'a Found,
-        model: &'a ImageModel,
+        blurs_px: &'a [f64],
         margin_px: f64,
     ) -> GroupFitting<'a> {
-        let Self { rig, judge, before, .. } = self;
+        let Self { rig, model, judge, before, .. } = self;
         let base_rests = self.shake.is_at_rest();
-        GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, base_rests, margin_px }
+        GroupFitting { rig, model, blurs_px, frame, found, last: before, usual: &judge.usual, base_rests, margin_px }
     }
 
     /// What the motion of the coil since the last frame tells of the pictures; how far it was, pixels, if it was seen.
@@ -359,22 +357,20 @@ impl Tracker {
         // In blended pictures what moves looks out of focus.
         let blended = self.blending.is_seen();
         if !blended && let Some(tries) = self.focus.tries(frame.stamp, moved_px) {
-            let with = |blur_px| {
-                let model = ImageModel { blur_px, ..self.model.clone() };
-                self.fitting(frame, found, &model, TRACKED_PX).again(of_coil, None)
-            };
-            if let Some([less, more]) = both(tries, with)
-                && self.focus.moves(fit, [&less, &more])
+            let with = |blurs_px: &Vec<f64>| self.fitting(frame, found, blurs_px, TRACKED_PX).again(of_coil, None);
+            if let Some([less, more]) = both(&tries, with)
+                && self.focus.moves(&of_coil.views, fit, [&less, &more])
             {
-                self.take_blur();
+                self.begin_resting();
             }
         } else if let Some(ways) = self.blending.tries(frame.stamp, moved_px) {
-            let with = |way| self.fitting(frame, found, &self.model, TRACKED_PX).again(of_coil, Some(way));
-            if let Some([less, more]) = both(ways, with)
+            let with =
+                |way: &f64| self.fitting(frame, found, self.focus.blurs_px(), TRACKED_PX).again(of_coil, Some(*way));
+            if let Some([less, more]) = both(&ways, with)
                 && self.blending.add([less.misfit, more.misfit])
             {
                 self.focus = Focus::of(&self.rig);
-                self.take_blur();
+                self.begin_resting();
             }
         }
     }
@@ -423,9 +419,8 @@ impl Tracker {
         fitted.views.iter().map(way_px).collect()
     }
 
-    fn take_blur(&mut self) {
-        self.model.blur_px = self.focus.blur_px();
-        // The base band moves with the model, not with the camera.
+    /// With another blur the base band moves with the model, not with the camera.
+    fn begin_resting(&mut self) {
         self.shake.forget();
         self.moved.forget();
         self.diameter.forget(&self.rig);
@@ -468,7 +463,7 @@ impl Tracker {
 }
 
 /// Fits with less and with more of something, at the same time.
-fn both([less, more]: [f64; 2], with: impl Fn(f64) -> Option<TubeFit> + Sync) -> Option<[TubeFit; 2]> {
+fn both<T: Sync>([less, more]: &[T; 2], with: impl Fn(&T) -> Option<TubeFit> + Sync) -> Option<[TubeFit; 2]> {
     let (less, more) = rayon::join(|| with(less), || with(more));
     Some([less?, more?])
 }

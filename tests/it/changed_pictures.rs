@@ -1,9 +1,12 @@
 //! Pictures that do not show the scene at their time: repeated ones, views out of step, a camera that shakes.
 
 use crate::support::command::{rig, sample};
+use catoptra::calibrate::markers::{MarkersOptions, Pick, calibrate_markers};
 use catoptra::estimate::{BandObservation, Estimate};
-use catoptra::source::{Frame, FrameSource, Picture, VideoFile, VideoOptions};
+use catoptra::rig::Rig;
+use catoptra::source::{Frame, FrameSource, Picture, SourceError, VideoFile, VideoOptions};
 use catoptra::track::{TrackOptions, Tracker};
+use nalgebra::Point2;
 use std::ops::Range;
 
 /// Frames of the sample in which the catheter swings.
@@ -177,6 +180,69 @@ fn pictures_out_of_focus_are_warned_of_and_tracked_with_their_blur() {
     assert!(!silent && warned);
     let (mean, count) = mean_square(&sharp[80..], &soft[80..], 1..2);
     assert!(count > 30 && mean < 2.0, "{mean} of {count} frames");
+}
+
+#[test]
+fn one_view_out_of_focus_is_warned_of_and_tracked_with_its_blur() {
+    let sharp = frames(0, 120, |picture| composed(picture, picture, 0));
+    let soft = frames(0, 120, |picture| composed(picture, &blurred(picture), BETWEEN));
+    let ((sharp, silent), (soft, warned)) = (tracked(&sharp), tracked(&soft));
+    assert!(!silent && warned);
+    // Of the base, whose σ is smallest; with the blur that is best for both views it is 0.6.
+    let (mean, count) = mean_square(&sharp[80..], &soft[80..], 0..1);
+    assert!(count > 30 && mean < 0.45, "{mean} of {count} frames");
+}
+
+/// Frames that were changed.
+struct Shown(std::vec::IntoIter<Frame>);
+
+impl FrameSource for Shown {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        Ok(self.0.next())
+    }
+
+    fn size_px(&self) -> [u32; 2] {
+        rig().camera.size_px
+    }
+
+    fn frame_count_hint(&self) -> Option<u64> {
+        None
+    }
+}
+
+/// The sample's rig, taught on these frames; σ of the views' blurs.
+fn taught(frames: &[Frame]) -> (Rig, Vec<f64>) {
+    let places = [("base", 408.0), ("coil", 565.0), ("tip", 607.0)];
+    let pick = |(name, y): (&str, f64)| Pick { name: name.into(), view: 0, pixel: Point2::new(431.0, y) };
+    let again = |frame: &Frame| Frame { picture: composed(&frame.picture, &frame.picture, 0), ..*frame };
+    let mut shown = Shown(frames.iter().map(again).collect::<Vec<_>>().into_iter());
+    let teaching = calibrate_markers(&rig(), &places.map(pick), &MarkersOptions::default(), &mut shown);
+    let learned = teaching.outcome.unwrap();
+    (teaching.rig, learned.blur_sd_px.into_iter().map(Option::unwrap).collect())
+}
+
+#[test]
+fn a_view_that_is_less_sharp_is_taught_with_its_own_blur_and_views_alike_share_one() {
+    let sharp = frames(0, 100, |picture| composed(picture, picture, 0));
+    let soft = frames(0, 100, |picture| composed(picture, &blurred(picture), BETWEEN));
+    let of = |rig: &Rig| -> Vec<f64> { rig.blurs_px().map(Option::unwrap).collect() };
+    let (alike, sd_px) = taught(&sharp);
+    println!("alike {:?} ± {sd_px:?} px", of(&alike));
+    assert!(alike.views.iter().all(|view| view.blur_px.is_none()));
+    assert!(sd_px.iter().all(|sd_px| (1e-4..0.05).contains(sd_px)), "{sd_px:?}");
+    let (own, sd_px) = taught(&soft);
+    println!("one less sharp {:?} ± {sd_px:?} px", of(&own));
+    let ([common, _], [direct, mirror]) = ([0, 1].map(|v| of(&alike)[v]), [0, 1].map(|v| of(&own)[v]));
+    assert!((direct - common).abs() < 0.05, "{direct} px, not {common} as before");
+    // The variance that `blurred` adds is 1/2 px² to luma, four times as much to chroma of half the size.
+    let added = (mirror.powi(2) - common.powi(2)).sqrt();
+    assert!((0.6..1.5).contains(&added), "{mirror} px");
+    let estimates = |rig: &Rig, frames: &[Frame]| -> Vec<Estimate> {
+        let mut tracker = Tracker::new(rig, TrackOptions::default()).unwrap();
+        frames.iter().map(|frame| tracker.step(frame).unwrap()).collect()
+    };
+    let (mean, count) = mean_square(&estimates(&alike, &sharp), &estimates(&own, &soft), 0..3);
+    assert!(count > 200 && mean < 1.0, "{mean} of {count} positions");
 }
 
 /// As noise reduction over time does.

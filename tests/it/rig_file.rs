@@ -135,6 +135,7 @@ fn mistakes_are_named() {
         ("[640.0, 512.0]", "[640.0, inf]", &["camera.principal_point_px = [640.0, inf]", "finite"]),
         ("[0.0, 0.0, 0.0, 0.0, 0.0]", "[0.0, nan, 0.0, 0.0, 0.0]", &["camera.distortion", "NaN", "finite"]),
         ("blur_px = 0.7", "blur_px = -0.7", &["camera.blur_px = -0.7", "positive"]),
+        ("path = [\"front", "blur_px = 0.0\npath = [\"front", &["view.direct.blur_px = 0", "positive"]),
         ("blur_px = 0.7", "readout_ms = 300.0", &["camera.readout_ms = 300", "200 or less either way"]),
         ("[0.0, 0.0, -1.0]", "[0.0, 0.6, -0.9]", &["surfaces.front_wall.normal", "length 1, it is 1.081665", "0.5547"]),
         ("[0.0, 0.0, -1.0]", "[0.0, nan, -1.0]", &["surfaces.front_wall.normal = [0.0, NaN, -1.0]", "finite"]),
@@ -280,9 +281,11 @@ fn media_must_agree_between_walls() {
 
 #[test]
 fn what_is_read_and_written_reads_the_same() {
+    let own_blur = changed("name = \"mirror\"\n", "name = \"mirror\"\nblur_px = 0.9\n");
+    assert_eq!(read(&own_blur).unwrap().blurs_px().collect::<Vec<_>>(), [Some(0.7), Some(0.9)]);
     let rolling = changed("blur_px = 0.7", "readout_ms = -14.5");
     assert_eq!(read(&rolling).unwrap().camera.readout_s, Some(-14.5e-3));
-    for text in [RIG.to_owned(), rolling, std::fs::read_to_string(dev_tank()).unwrap()] {
+    for text in [RIG.to_owned(), own_blur, rolling, std::fs::read_to_string(dev_tank()).unwrap()] {
         let rig = read(&text).unwrap();
         let written = rig.to_toml_string();
         let again = read(&written).unwrap();
@@ -291,6 +294,7 @@ fn what_is_read_and_written_reads_the_same() {
         assert_eq!(again.provenance, rig.provenance);
         for (view, other) in rig.views.iter().zip(&again.views) {
             assert_eq!((&view.name, &view.path, &view.region_px), (&other.name, &other.path, &other.region_px));
+            assert_eq!(view.blur_px, other.blur_px);
         }
         let (a, b) = (rig.base.unwrap().base_from_camera, again.base.unwrap().base_from_camera);
         assert!((a.to_matrix() - b.to_matrix()).amax() < 2e-12);

@@ -57,6 +57,7 @@ impl Scene {
             path: Vec::new(),
             optics: self.geometry.path(k),
             region_px: self.regions[k].iter().map(|[x, y]| Point2::new(*x, *y)).collect(),
+            blur_px: None,
         };
         let views = self.geometry.views.iter().enumerate().map(view).collect();
         Boards::new(self.size_px, views, self.board.clone(), self.blur_px, self.sensor)

@@ -46,6 +46,7 @@ pub(crate) fn rig() -> Rig {
         path: path.iter().map(|p| (*p).to_owned()).collect(),
         optics: OpticalPath { lens, surfaces: path.iter().map(|p| surfaces[*p]).collect() },
         region_px: Vec::new(),
+        blur_px: None,
     };
     let views = vec![view("direct", &["front_wall"]), view("mirror", &["side_mirror", "side_wall"])];
     let marker = |name: &str, length_mm: f64, centre_mm: f64| Marker {

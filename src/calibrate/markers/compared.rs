@@ -3,6 +3,7 @@
 use crate::median::upper_median;
 use crate::rig::Rig;
 use crate::source::Frame;
+use crate::track::curve::Curve;
 use crate::track::{TrackOptions, Tracker};
 
 /// Longest time between a frame and its follower, seconds.
@@ -37,6 +38,18 @@ impl<'a> Compared<'a> {
         let both = self.misfits(rig).into_iter().zip(&self.first);
         let differences: Vec<f64> = both.filter_map(|(misfit, first)| Some(misfit? - (*first)?)).collect();
         (differences.len() * 2 > self.frames.len()).then_some(differences)
+    }
+
+    /// Of the frames that can be fitted with all three: how their misfit changes from a rig with less blur than the
+    /// first one by way of that to one with more; `None` when they are half of the frames or fewer.
+    pub(super) fn curve(&self, less: &Rig, more: &Rig) -> Option<Curve> {
+        let mut curve = Curve::default();
+        for ((less, own), more) in self.misfits(less).into_iter().zip(&self.first).zip(self.misfits(more)) {
+            if let (Some(less), Some(own), Some(more)) = (less, own, more) {
+                curve.add([less, *own, more]);
+            }
+        }
+        (curve.slopes.len() * 2 > self.frames.len()).then_some(curve)
     }
 
     /// Of each frame, motion blur included where the exposure and its follower are known.

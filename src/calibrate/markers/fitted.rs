@@ -3,11 +3,12 @@
 
 use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped, clipped_mean};
 use crate::calibrate::markers::line_search::minimise;
-use crate::calibrate::markers::{MarkersError, track};
+use crate::calibrate::markers::{MarkersError, track, view_blurs};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
 use crate::rig::{Marker, Rig};
 use crate::source::Frame;
+use crate::track::curve::mean_with_sd;
 use crate::track::{TrackOptions, Tracker};
 
 /// Frames used for the fit, and for the decision whether a gamma is needed.
@@ -165,7 +166,7 @@ fn determined(
         // No curvature: what it changes is not fitted, or not together.
         (best.curvature > 0.0).then_some(best.at)
     });
-    Some(mean_of_parts(&parts.collect::<Option<Vec<f64>>>()?))
+    Some(mean_with_sd(&parts.collect::<Option<Vec<f64>>>()?))
 }
 
 /// The lengths of coil and next band with which the pictures are explained best, metres, with σ; `None` for other
@@ -200,9 +201,9 @@ pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> 
     rig.markers.iter().enumerate().map(fitted).collect()
 }
 
-/// Blur, chroma offset, gamma and, unless it is stated, exposure. A wrong gamma and motion both look like blur: once
-/// they are known, blur is fitted again.
-pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
+/// Blur, chroma offset, gamma and, unless it is stated, exposure; returns σ of each view's blur, pixels. A wrong gamma
+/// and motion both look like blur: once they are known, blur is fitted again.
+pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
     sharpen(rig, frames, followers);
     rig.camera.gamma = gamma(rig, frames, followers);
     if rig.camera.gamma.is_some() {
@@ -214,7 +215,8 @@ pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Resu
             sharpen(rig, frames, followers);
         }
     }
-    Ok(())
+    // Last: motion that is not modelled blurs views differently.
+    Ok(view_blurs::find(rig, &every(frames, JUDGING_FRAMES), followers))
 }
 
 /// The power of light that the camera stores, where it explains the pictures clearly better than the transfer function
@@ -232,17 +234,17 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
         let compared = Compared::with(rig, frames, followers);
         Some(minimise(FIRST_GAMMA, GAMMA_STEP, GAMMAS, |gamma| compared.excess(&with(gamma)))?.at)
     });
-    let (gamma, sd) = mean_of_parts(&gammas.collect::<Option<Vec<_>>>()?);
+    let (gamma, sd) = mean_with_sd(&gammas.collect::<Option<Vec<_>>>()?);
     // By how much it explains each frame better than what is declared: a few would tell too little of the scatter.
     let excesses = Compared::with(rig, every(frames, JUDGING_FRAMES), followers).excesses(&with(gamma))?;
     let gains: Vec<f64> = excesses.into_iter().map(|excess| -excess).collect();
-    let (gain, gain_sd) = mean_of_parts(&clipped(&gains));
+    let (gain, gain_sd) = mean_with_sd(&clipped(&gains));
     tracing::debug!("gamma {gamma:.3} ± {sd:.3}, better by {gain:.4} ± {gain_sd:.4} than what is declared");
     let clearly = gain > MIN_GAIN.max(MIN_GAIN_SDS * gain_sd);
     clearly.then(|| (gamma * 1e3).round() / 1e3)
 }
 
-/// Blur and chroma offset.
+/// Blur, common to all views, and chroma offset.
 fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
     let some = every(frames, TUNING_FRAMES);
     let subsampled = some.first().is_some_and(|f| f.picture.format().is_subsampled());
@@ -256,7 +258,7 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
             changed.camera.blur_px = Some(blur);
             changed
         };
-        if let Some(best) = minimise(blur, 0.1 * finer, (0.3, 3.0), |b| compared.excess(&with_blur(b))) {
+        if let Some(best) = minimise(blur, 0.1 * finer, view_blurs::LIMITS_PX, |b| compared.excess(&with_blur(b))) {
             blur = best.at;
         }
         *rig = with_blur(blur);
@@ -328,7 +330,7 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
             Some(minimise(step_s * (EXPOSURES / 2) as f64, step_s, (0.0, interval_s * (1.0 + 1e-9)), at)?.at)
         })
         .collect();
-    let (mean, sd) = mean_of_parts(&parts);
+    let (mean, sd) = mean_with_sd(&parts);
     tracing::debug!("exposure from thirds of {} pairs of frames: {parts:?} s", curves.len());
     let seen = mean > MIN_EXPOSURE_SDS * sd && mean > MIN_EXPOSURE * interval_s;
     // Microseconds are beyond the accuracy.
@@ -338,12 +340,4 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
 /// At most `count` of the frames, spread evenly.
 fn every(frames: &[Frame], count: usize) -> Vec<&Frame> {
     frames.iter().step_by(frames.len().div_ceil(count).max(1)).collect()
-}
-
-/// The mean of independent results, and its standard deviation from their scatter.
-fn mean_of_parts(parts: &[f64]) -> (f64, f64) {
-    let count = parts.len() as f64;
-    let mean = parts.iter().sum::<f64>() / count;
-    let variance = parts.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    (mean, (variance / count).sqrt())
 }

@@ -27,6 +27,7 @@ mod pick;
 mod regions;
 mod samples;
 mod seen;
+mod view_blurs;
 
 pub use error::MarkersError;
 pub use exposure::Exposure;
@@ -81,6 +82,8 @@ pub struct MarkersCalibration {
     pub first_miss: Vec<Option<Miss>>,
     /// σ of each band's distance from the one before it along the tube, metres; `None` where not measured.
     pub centre_sd_m: Vec<Option<f64>>,
+    /// For each view, σ of its blur from this view alone, pixels; `None` where its pictures do not tell.
+    pub blur_sd_px: Vec<Option<f64>>,
     /// Dimensions that the pictures contradict.
     pub contradicted: Vec<ContradictedDimension>,
 }
@@ -117,6 +120,7 @@ impl Teaching {
     fn new(rig: &Rig, picks: &[Pick], options: &MarkersOptions) -> Self {
         let mut rig = rig.clone();
         rig.camera.blur_px = None;
+        rig.views.iter_mut().for_each(|view| view.blur_px = None);
         rig.camera.chroma_offset_px = [0.0; 2];
         rig.camera.exposure_s = options.exposure_s;
         rig.camera.gamma = None;
@@ -164,7 +168,7 @@ impl Teaching {
         let rig = &mut self.rig;
         self.views = learn_everywhere(rig, frames)?;
         let centre_sd_m = place_bands(rig, frames)?;
-        tune(rig, frames, followers)?;
+        let blur_sd_px = tune(rig, frames, followers)?;
         if let Ok(views) = learn_everywhere(rig, frames) {
             self.views = views;
         }
@@ -181,6 +185,7 @@ impl Teaching {
             answered: markers.clone().map(answered).collect(),
             first_miss: markers.clone().map(first_miss).collect(),
             centre_sd_m,
+            blur_sd_px,
             contradicted: measures::contradicted(rig, frames, &estimates, &lengths_m(rig, frames)),
         };
         self.usable(&done)?;

@@ -327,6 +327,7 @@ pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
             path: path.iter().map(|&surface| geometry.surfaces[surface].0.clone()).collect(),
             optics,
             region_px,
+            blur_px: draft.views.iter().find(|known| known.name == *name).and_then(|known| known.blur_px),
         })
         .collect();
     draft.base = None;

@@ -405,6 +405,10 @@ fn provenance(args: &MarkersArgs, done: &Teaching, places: &str) -> toml::Table 
         if !sd_mm.is_empty() {
             table.insert("spacing_sd_mm".into(), sd_mm.into());
         }
+        let known: Option<Vec<f64>> = learned.blur_sd_px.iter().copied().collect();
+        if let Some(sd_px) = known {
+            table.insert("blur_sd_px".into(), sd_px.into_iter().map(round).collect::<Vec<_>>().into());
+        }
     }
     table
 }
@@ -419,8 +423,8 @@ fn describe(done: &Teaching) -> String {
     let [x, y] = camera.chroma_offset_px;
     let _ = writeln!(
         text,
-        "\nblur of lens and sensor {:.2} px; chroma samples sit {x:+.2}, {y:+.2} px beside where the recording says",
-        camera.blur_px.unwrap_or(f64::NAN)
+        "\nblur of lens and sensor {}; chroma samples sit {x:+.2}, {y:+.2} px beside where the recording says",
+        describe_blur(done)
     );
     if let Some(gamma) = camera.gamma {
         let _ = writeln!(
@@ -440,6 +444,20 @@ fn describe(done: &Teaching) -> String {
         let _ = writeln!(text, "{}", proposal(&done.rig, region));
     }
     text
+}
+
+/// The blur of all views, or of each, with σ from that view alone.
+fn describe_blur(done: &Teaching) -> String {
+    let rig = &done.rig;
+    if rig.views.iter().all(|view| view.blur_px.is_none()) {
+        return rig.camera.blur_px.map_or("not known".to_owned(), |blur_px| format!("{blur_px:.2} px"));
+    }
+    let sd_px = |v: usize| done.outcome.as_ref().ok()?.blur_sd_px.get(v).copied().flatten();
+    let of_view = |(v, blur_px): (usize, Option<f64>)| {
+        let sd = sd_px(v).map_or("as the others'".to_owned(), |sd_px| format!("± {sd_px:.2} px"));
+        format!("{:.2} {sd} in view `{}`", blur_px.unwrap_or(f64::NAN), rig.views[v].name)
+    };
+    rig.blurs_px().enumerate().map(of_view).collect::<Vec<_>>().join(", ")
 }
 
 /// Measures and exposures that do not look as they should.

@@ -172,6 +172,12 @@ fn describe(out: &mut String, file: &Path, rig: &Draft, checked: &Check) -> fmt:
     }
 }
 
+/// The blur of views that have their own.
+fn own_blurs(rig: &Draft) -> String {
+    let of_view = |view: &View| Some(format!(", {:.2} px in view `{}`", view.blur_px?, view.name));
+    rig.views.iter().filter_map(of_view).collect()
+}
+
 fn camera(out: &mut String, rig: &Draft, checked: &Check) -> fmt::Result {
     let camera: &Camera = &rig.camera;
     let lens = &camera.lens;
@@ -194,7 +200,7 @@ fn camera(out: &mut String, rig: &Draft, checked: &Check) -> fmt::Result {
         writeln!(out, "                   k4, k5, k6 = {:?}", lens.denominator)?;
     }
     match camera.blur_px {
-        Some(blur) => writeln!(out, "  blur             {blur:.2} px")?,
+        Some(blur) => writeln!(out, "  blur             {blur:.2} px{}", own_blurs(rig))?,
         None => writeln!(out, "  blur             not known")?,
     }
     match camera.gamma {

@@ -86,6 +86,9 @@ fn cards(done: &Teaching) -> String {
         if let Some(blur_px) = done.rig.camera.blur_px {
             cards += &card("Blur of lens and sensor", format!("{blur_px:.2}"), "px", false);
         }
+        for (blur_px, view) in done.rig.views.iter().filter_map(|view| Some((view.blur_px?, view))) {
+            cards += &card(format!("Blur in view {}", view.name), format!("{blur_px:.2}"), "px", false);
+        }
     }
     if cards.is_empty() { cards } else { format!("<dl class=\"key\">\n{cards}</dl>\n") }
 }
