@@ -2,6 +2,7 @@
 
 use crate::estimate::Miss;
 use crate::rig::Rig;
+use crate::source::PixelFormat;
 use crate::track::find::Found;
 use crate::track::fit::ViewFit;
 use crate::track::group_fit::{DISAGREEMENT, Fitted};
@@ -43,7 +44,7 @@ pub(crate) struct Judge {
     /// Of the fits of each reference marker: mean disagreement of the views, as χ² per degree of freedom.
     disagreement: Vec<f64>,
     slip: Seen,
-    /// Observed offset of chroma from the rig's, pixels.
+    /// Observed offset of chroma from the rig's that following frames are fitted with, pixels.
     pub mean_slip_px: Vector2<f64>,
 }
 
@@ -67,13 +68,20 @@ impl Judge {
 
     /// Adds the slip of chroma and the views' disagreement to the covariances, and refuses fits with unusual residuals
     /// or of too little of a band.
-    pub(crate) fn judge(&mut self, rig: &Rig, encoding: &Encoding, found: &Found, fitted: &mut [Fitted]) {
+    pub(crate) fn judge(
+        &mut self,
+        rig: &Rig,
+        encoding: &Encoding,
+        format: PixelFormat,
+        found: &Found,
+        fitted: &mut [Fitted],
+    ) {
         self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
             fit.views.iter().for_each(|view| self.slip.add(&view.slip.beyond(&self.mean_slip_px)));
         }
         let variance_px2 = self.slip.variance_px2();
-        self.mean_slip_px = self.slip.mean_px();
+        self.mean_slip_px = self.slip.mean_px_in(format);
         let residuals = fitted.iter().flat_map(|Fitted { group, views, result }| {
             let of_views = result.iter().flat_map(|fit| &fit.views);
             views.iter().zip(of_views).map(|(v, view)| (group.reference, *v, view.rms))

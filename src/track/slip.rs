@@ -13,6 +13,7 @@
 //! A slip common to all bands of all views is not the coder's: the chroma samples are not where the recording says, or
 //! not where they were when the rig was taught. That mean is removed from the following frames.
 
+use crate::source::PixelFormat;
 use crate::track::appearance::Layout;
 use crate::track::normal::{ROW, Row, Seen as Sight, add_row, shifted};
 use crate::track::padded::{Padded, weighted};
@@ -56,6 +57,9 @@ pub(crate) struct Seen {
 const OWN_SD_PX: f64 = 0.2;
 /// Prior standard deviation of the mean, pixels.
 const PRIOR_SD_PX: f64 = 0.3;
+/// Where each pixel has its own chroma, what lies apart by less is fitted as if it did not: such pictures are compared
+/// in the channels that they store.
+const LEAST_PX: f64 = 0.05;
 /// Largest possible error of the siting, pixels.
 const MAX_PX: f64 = 1.0;
 
@@ -84,6 +88,12 @@ impl Seen {
         mean.map(|px| px.clamp(-MAX_PX, MAX_PX))
     }
 
+    /// That which pictures of a format are fitted with: where each pixel has its own chroma, little is none.
+    pub(crate) fn mean_px_in(&self, format: PixelFormat) -> Vector2<f64> {
+        let mean_px = self.mean_px();
+        if format.has_chroma_per_pixel() && mean_px.norm() < LEAST_PX { Vector2::zeros() } else { mean_px }
+    }
+
     /// The same with less weight on its squares; the mean remains that of the whole run.
     pub(crate) fn faded(&self, by: f64) -> Self {
         Self { squares_px2: self.squares_px2 * by, count: self.count * by, ..*self }
@@ -101,18 +111,18 @@ impl Slips {
         }
     }
 
-    /// Adds a chroma sample of a span that is nearest to `ring`.
+    /// Adds a sample of a span that is nearest to `ring`; `slipping` are the derivatives of its chroma alone.
     #[inline(always)]
     pub(crate) fn add(
         &mut self,
         (span, ring): (usize, usize),
-        (row, sight): (&Row, Sight),
+        (row, slipping, sight): (&Row, &Row, Sight),
         residual: f32,
         weight: f32,
     ) {
         let Some(band) = self.bands.get_mut(ring / 2) else { return };
         let (_, rows) = self.waiting[span].get_or_insert((ring / 2, [[0.0; ROW]; 2]));
-        for ((slip, sum), by) in band.iter_mut().zip(rows).zip(shifted(row, sight)) {
+        for ((slip, sum), by) in band.iter_mut().zip(rows).zip(shifted(slipping, sight)) {
             slip.pull += f64::from(weight * residual * by);
             slip.information += f64::from(weight * by * by);
             add_row(sum, row, sight, weight * by);

@@ -3,7 +3,7 @@
 use crate::estimate::{Estimate, Miss, Spot};
 use crate::rig::Rig;
 use crate::segment::SegmentError;
-use crate::source::{Frame, Picture, Timestamp, Transfer};
+use crate::source::{Frame, Picture, PixelFormat, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::blending::Blending;
 use crate::track::coil::deflection;
@@ -198,9 +198,7 @@ impl Tracker {
             self.transfer = picture.colour().transfer;
             self.model.encoding = Encoding::new(self.transfer);
         }
-        // A sample that shows what is to its left is located further left.
-        let taught = self.rig.camera.chroma_offset_px;
-        self.model.chroma_offset_px = [0, 1].map(|axis| taught[axis] - self.judge.mean_slip_px[axis]);
+        self.follow_chroma(picture.format());
         // 1. blobs and their assignment to markers and views
         let found = match self.finder.find(&self.rig, frame) {
             Err(SegmentError::NotRecorded(_)) => return Ok((Err(Miss::NotRecorded), None)),
@@ -211,7 +209,7 @@ impl Tracker {
         self.model.error = ModelError::of(picture, converted, noisy).blurred(self.model.blur_px);
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
-        self.judge.judge(&self.rig, &self.model.encoding, &found, &mut fitted);
+        self.judge.judge(&self.rig, &self.model.encoding, picture.format(), &found, &mut fitted);
         let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
         views.filter_map(|view| view.grain.as_ref()).for_each(|grain| self.grain.add(grain));
         let moved_px = self.look_at_motion(frame.stamp, &fitted);
@@ -301,8 +299,17 @@ impl Tracker {
     /// Finds and fits the bands of a frame without any memory.
     fn fit_alone(&mut self, frame: &Frame) -> Option<(Found, Vec<Fitted>)> {
         let found = self.finder.find_alone(&self.rig, frame)?;
+        self.follow_chroma(frame.picture.format());
         let fitted = self.fit(frame, &found, COMPARED_PX);
         Some((found, fitted))
+    }
+
+    /// Takes the offset of chroma that was taught for pictures of this format, less what has been seen since.
+    fn follow_chroma(&mut self, format: PixelFormat) {
+        let camera = &self.rig.camera;
+        let taught = if format.has_chroma_per_pixel() { camera.colour_offset_px } else { camera.chroma_offset_px };
+        // A sample that shows what is to its left is located further left.
+        self.model.chroma_offset_px = [0, 1].map(|axis| taught[axis] - self.judge.mean_slip_px[axis]);
     }
 
     fn fit(&self, frame: &Frame, found: &Found, margin_px: f64) -> Vec<Fitted> {
