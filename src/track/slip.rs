@@ -12,6 +12,10 @@
 //!
 //! A slip common to all bands of all views is not the coder's: the chroma samples are not where the recording says, or
 //! not where they were when the rig was taught. That mean is removed from the following frames.
+//!
+//! Pictures that store colour for each pixel are no different: most were made from ones with subsampled chroma, and a
+//! program that copies samples, or mistakes their siting, moves chroma by up to a pixel. In R, G and B a slip changes
+//! each channel by that of its chroma, R − Y; t is the change by that part alone.
 
 use crate::source::PixelFormat;
 use crate::track::appearance::Layout;
@@ -156,6 +160,29 @@ impl Slips {
                 });
                 self.covariance += slip.response * slip.response.transpose();
                 self.response += slip.response * direction.transpose();
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn little_is_none_where_each_pixel_has_its_own_chroma_and_not_elsewhere() {
+        let subsampled = PixelFormat::Yuv { chroma_log2: [1, 1] };
+        for (slip_px, of_pixels) in [(0.5 * LEAST_PX, false), (2.0 * LEAST_PX, true)] {
+            let information = Matrix2::identity() * 1e6;
+            let slip_px = Vector2::new(-slip_px, 0.0);
+            let seen = Seen { information, pull: information * slip_px, ..Seen::default() };
+            for (format, expected) in [
+                (subsampled, true),
+                (PixelFormat::RgbPlanar, of_pixels),
+                (PixelFormat::Yuv { chroma_log2: [0, 0] }, of_pixels),
+            ] {
+                let expected_px = if expected { slip_px } else { Vector2::zeros() };
+                assert!((seen.mean_px_in(format) - expected_px).norm() < 1e-3, "{format:?}, {slip_px}");
             }
         }
     }

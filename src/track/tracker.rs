@@ -28,6 +28,7 @@ use crate::track::repeats::Repeats;
 use crate::track::rolling::Rolling;
 use crate::track::scatter::Scatter;
 use crate::track::shake::Shake;
+use crate::track::slip::Seen;
 use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::{ShapeStep, TubeShape};
 use crate::track::warnings::{
@@ -294,6 +295,18 @@ impl Tracker {
         let misfit = self.misfit(frame);
         self.before.fill(None);
         misfit
+    }
+
+    /// How far the chroma of pictures of one format lies from where the rig says, pixels (right, down): the mean over
+    /// those frames, each without any memory.
+    pub(crate) fn mean_slip_px(&mut self, frames: &[&Frame]) -> Vector2<f64> {
+        let mut slip = Seen::default();
+        for frame in frames {
+            let fitted = self.fit_alone(frame).map_or(Vec::new(), |(_, fitted)| fitted);
+            let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
+            views.for_each(|view| slip.add(&view.slip));
+        }
+        frames.first().map_or_else(Vector2::zeros, |frame| slip.mean_px_in(frame.picture.format()))
     }
 
     /// Finds and fits the bands of a frame without any memory.
