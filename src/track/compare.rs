@@ -4,6 +4,7 @@
 //! chunk, where they are summed, and not kept.
 
 use crate::source::Picture;
+use crate::track::basis::Channel;
 use crate::track::chunk::{CHUNK, Chunk, Light, Piece, Rows, Scene};
 use crate::track::equations::Eliminated;
 use crate::track::fields::RowShift;
@@ -12,7 +13,7 @@ use crate::track::grain::Differences;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
 use crate::track::padded::{PADDED, Padded, products, unpadded_square};
-use crate::track::patch::{Channel, Layer, Patch, Shown};
+use crate::track::patch::{Layer, Patch, Shown};
 use crate::track::places::Density;
 use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy};

@@ -7,8 +7,9 @@
 //! Where each pixel has its own chroma, but not at its own place, chroma is compared at that place, apart from luma. Of
 //! R, G and B that cannot be said: their Y, U and V are compared instead.
 
-use crate::source::{Colour, Picture, PixelFormat, Plane, Range as Levels};
+use crate::source::{Picture, Plane};
 use crate::track::appearance::{BACKGROUND, CAP, FIXED, Layout, PER_SEGMENT};
+use crate::track::basis::{Basis, Channel};
 use crate::track::light::Encoding;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::Span;
@@ -30,69 +31,6 @@ pub(crate) struct Strip {
     /// Index of its span.
     pub span: usize,
     pub points: Range<usize>,
-}
-
-/// A stored channel: number, weights of R'G'B', constant.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Channel {
-    pub number: u8,
-    pub weights: [f32; 3],
-    pub constant: f32,
-    /// The part of the weights that is chroma: all of U and V, R − Y, none of Y.
-    pub chroma: Option<[f32; 3]>,
-}
-
-impl Channel {
-    fn of(&Basis { format, colour }: &Basis, number: usize) -> Self {
-        let (weights, constant) = colour.channel_from_rgb(format, number);
-        let (luma, _) = Colour { range: Levels::Full, ..colour }.channel_from_rgb(PixelFormat::Grey, 0);
-        let chroma = match format {
-            PixelFormat::Grey => None,
-            format if format.is_yuv() => (number > 0).then_some(weights),
-            _ => Some(std::array::from_fn(|c| weights[c] - luma[c])),
-        };
-        let single = |weights: [f64; 3]| weights.map(|w| w as f32);
-        Self { number: number as u8, weights: single(weights), constant: constant as f32, chroma: chroma.map(single) }
-    }
-}
-
-/// The channels in which a picture is compared.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Basis {
-    pub format: PixelFormat,
-    pub colour: Colour,
-}
-
-impl Default for Basis {
-    fn default() -> Self {
-        Self { format: PixelFormat::Grey, colour: Colour::SRGB }
-    }
-}
-
-impl Basis {
-    /// Those that it stores; Y, U and V of R, G and B `apart`.
-    fn of(picture: &Picture, apart: bool) -> Self {
-        let (format, colour) = (picture.format(), picture.colour());
-        match apart && !format.is_yuv() {
-            true => Self {
-                format: PixelFormat::Yuv { chroma_log2: [0, 0] },
-                colour: Colour { range: Levels::Full, ..colour },
-            },
-            false => Self { format, colour },
-        }
-    }
-
-    /// Variances in its channels of errors that have these in the stored ones.
-    pub(crate) fn variances(&self, picture: &Picture, stored: [f64; 3]) -> [f64; 3] {
-        if self.format == picture.format() {
-            return stored;
-        }
-        // They may be common to all.
-        [0, 1, 2].map(|channel| {
-            let (weights, _) = self.colour.channel_from_rgb(self.format, channel);
-            weights.iter().zip(stored).map(|(w, variance)| w.abs() * variance.sqrt()).sum::<f64>().powi(2)
-        })
-    }
 }
 
 /// Points at which the same channels are stored: pixels with Y or R, G and B; samples of U and V. Ordered by strips,

@@ -276,7 +276,7 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
                 *rig = with_offset(best.at);
             }
         }
-        // Where each pixel has its own chroma, other offsets may be compared in other channels: their misfits say nothing.
+        // Where each pixel has its own chroma, misfits of two offsets may be those of different channels.
         for _ in 0..if of_format(PixelFormat::has_chroma_per_pixel) { SLIP_STEPS } else { 0 } {
             let Ok(mut tracker) = Tracker::new(rig, TrackOptions::default()) else { break };
             let slip_px = tracker.mean_slip_px(&some);
