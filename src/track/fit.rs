@@ -21,7 +21,7 @@ use crate::track::places::Density;
 use crate::track::round::{Guess, Minimum, Round};
 use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;
-use crate::track::tube::{SHAPE, TubeShape};
+use crate::track::tube::{SHAPE, ShapeStep, TubeShape};
 use crate::track::tube_image::{Sweep, TubeImage};
 use crate::track::view::{Selection, View, Weighing};
 use crate::track::widths::Width;
@@ -90,6 +90,11 @@ impl TubeFit {
     /// How its views look.
     pub(crate) fn looks(&self) -> Vec<Look> {
         self.views.iter().map(|view| view.look.clone()).collect()
+    }
+
+    /// How chroma that slips alike in all views, by this much, moves the shape.
+    pub(crate) fn moved_by_slip(&self, slip_px: &Vector2<f64>) -> ShapeStep {
+        self.views.iter().map(|view| view.slip_response * slip_px).sum()
     }
 
     /// By how much the views disagree: χ² of the shifts that they alone would give.
@@ -225,7 +230,6 @@ mod tests {
     use crate::track::fringes::apart;
     use crate::track::image_model::ModelError;
     use crate::track::light::Encoding;
-    use crate::track::tube::ShapeStep;
     use nalgebra::Vector3;
 
     /// The image model is assumed exact, so that the covariance is that of the noise alone.
@@ -421,11 +425,10 @@ mod tests {
                 let mut slip = Seen::default();
                 fit.views.iter().for_each(|view| slip.add(&view.slip));
                 let error_m = fit.shape.centre - tube.centre;
-                let sd_m = |slip_px2: f64| {
-                    let covariance = fit.covariance + fit.slip_covariance * slip_px2;
-                    (covariance.fixed_view::<3, 3>(0, 0).trace() / 3.0).sqrt()
-                };
-                (error_m.norm(), slip.mean_px(), [sd_m(0.0), sd_m(slip.variance_px2())])
+                let moved = fit.moved_by_slip(&slip.mean_px());
+                let widened = fit.covariance + fit.slip_covariance * slip.variance_px2() + moved * moved.transpose();
+                let sd_m = [fit.covariance, widened].map(|all| (all.fixed_view::<3, 3>(0, 0).trace() / 3.0).sqrt());
+                (error_m.norm(), slip.mean_px(), sd_m)
             };
             let (error_m, slip_px, [sd_m, widened_m]) = fitted(0.0);
             assert!((slip_px - Vector2::x()).norm() < 0.4, "{format:?}: {slip_px}");

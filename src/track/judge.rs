@@ -81,6 +81,7 @@ impl Judge {
             fit.views.iter().for_each(|view| self.slip.add(&view.slip.beyond(&self.mean_slip_px)));
         }
         let variance_px2 = self.slip.variance_px2();
+        let left_px = self.slip.mean_px() - self.mean_slip_px;
         self.mean_slip_px = self.slip.mean_px_in(format);
         let residuals = fitted.iter().flat_map(|Fitted { group, views, result }| {
             let of_views = result.iter().flat_map(|fit| &fit.views);
@@ -90,6 +91,11 @@ impl Judge {
         for Fitted { group, views, result } in fitted {
             let Ok(fit) = result else { continue };
             fit.covariance += fit.slip_covariance * variance_px2;
+            // What is common to all bands and was not taken out. (Of subsampled chroma little is left.)
+            if format.has_chroma_per_pixel() {
+                let moved = fit.moved_by_slip(&left_px);
+                fit.covariance += moved * moved.transpose();
+            }
             // Views that lastingly disagree do not show one moment, or not what the rig says; chance is 1.
             let mean = &mut self.disagreement[group.reference];
             let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);
