@@ -401,10 +401,11 @@ impl Tracker {
         let mut group = of_coil.group.clone();
         group.stretch.radius_m *= times;
         let other = Fitted { group, views: of_coil.views.clone(), result: Ok(fit.clone()) };
-        let Some(fit) = self.fitting(frame, found, &self.model, TRACKED_PX).again(&other, None) else { return };
+        let blurs_px = self.focus.blurs_px();
+        let Some(fit) = self.fitting(frame, found, blurs_px, TRACKED_PX).again(&other, None) else { return };
         let blurred = OTHER_BLURS.iter().filter_map(|times| {
-            let model = ImageModel { blur_px: self.model.blur_px * times, ..self.model.clone() };
-            self.fitting(frame, found, &model, TRACKED_PX).again(of_coil, None)
+            let blurs_px: Vec<f64> = blurs_px.iter().map(|blur_px| blur_px * times).collect();
+            self.fitting(frame, found, &blurs_px, TRACKED_PX).again(of_coil, None)
         });
         let blurred: Vec<TubeFit> = blurred.collect();
         self.diameter.add_tried(&fit, &blurred);
