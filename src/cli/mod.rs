@@ -113,7 +113,7 @@ Example:
     Catheter(catheter::Args),
     /// Render what a rig would record of its catheter, with the truth (docs/simulate.md)
     #[command(after_help = "\
-DIR gets recording.mkv (or pictures), truth.csv with the columns of track.csv, rig.toml and catheter.toml.
+DIR gets recording.mkv (or pictures), truth.csv (as track.csv), rig.toml and catheter.toml.
 Exit code 2: something cannot be seen; the error says what. The same seed gives the same files.
 Example:
   catoptra simulate --rig calibration/dev_tank/rig.toml --motion circle --duration 2s -o sim")]

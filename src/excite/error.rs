@@ -1,6 +1,7 @@
 //! Why a signal cannot be made as requested.
 
-use super::limits::ROUNDING;
+/// Relative excess over a limit attributed to rounding.
+pub(super) const ROUNDING: f64 = 1e-9;
 
 /// Milliamperes with one decimal, or what is left of less: never more than it is.
 fn rounded_down_ma(amperes: f64) -> String {

@@ -1,9 +1,7 @@
 //! Limits of amplifier and coils, and limiting of signals.
 
-use super::{ExciteError, Resolution, Signal};
-
-/// Relative excess over a limit attributed to rounding.
-pub(super) const ROUNDING: f64 = 1e-9;
+use super::error::{ExciteError, ROUNDING};
+use super::{Resolution, Signal};
 
 /// Limits of the current.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -156,7 +154,7 @@ mod tests {
         );
         assert_eq!(
             message(&[0.1, -0.1]),
-            "the current changes by up to 2.000 A/s, and from 0.100 s on exceeds the limit of 1 A/s: an amplitude of 49.9 \
+            "the current changes by up to 2.000 A/s, and from 0.100 s on exceeds the limit of 1 A/s: an amplitude of 50.0 \
              mA keeps it"
         );
         // The return to zero counts.

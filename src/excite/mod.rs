@@ -54,7 +54,7 @@ impl Resolution {
 
     /// The largest that it has up to this one.
     fn below(self, value_a: f64) -> f64 {
-        let steps = |exact: f64| (exact * (1.0 + limits::ROUNDING)).floor();
+        let steps = |exact: f64| (exact * (1.0 + error::ROUNDING)).floor();
         if self.current_a > 0.0 { steps(value_a / self.current_a) * self.current_a } else { value_a }
     }
 }

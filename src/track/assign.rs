@@ -40,7 +40,7 @@ const MISSING_VIEW_COST: f64 = 10.0;
 /// Where the base band rests is known to this before it was seen there, and after; a camera that was moved before the run
 /// costs no more than this.
 const REST_SD_M: (f64, f64) = (10e-3, 5e-3);
-const MAX_REST_COST: f64 = 40.0;
+const MAX_REST_COST: f64 = 25.0;
 /// So far from there a band is not the base band.
 const OTHER_BASE_M: f64 = 20e-3;
 /// With another catheter in view, a marker is that of the first if it is within this of where it was.

@@ -191,7 +191,8 @@ fn a_band_of_another_length_is_noticed() {
     assert!(looks == 1 && said.contains("band `coil` looks 12.0 mm long, not 12.5 mm"), "{said}");
     let output = bench.pick("planar", [BASE, COIL, "tip@430,607:7.7mm"]);
     let said = ended_with(&output, 0);
-    assert!(said.contains("band `tip` looks 6.") && said.contains("not 7.7 mm"), "{said}");
+    let looks = ["band `tip` looks 6.", "band `tip` looks about 6"].iter().any(|looks| said.contains(looks));
+    assert!(looks && said.contains("not 7.7 mm"), "{said}");
 }
 
 #[test]
