@@ -5,7 +5,6 @@ mod appearance;
 mod assign;
 #[cfg(test)]
 mod assign_tests;
-mod basis;
 mod blending;
 mod by_band;
 mod chunk;
