@@ -114,7 +114,7 @@ fn a_zoom_that_was_moved_midway_is_told() {
         large.crop_imm((large.width() - width) / 2, (large.height() - height) / 2, width, height)
     });
     let told = "two groups with different lenses";
-    holds(&set.camera(&["set"], &[]), 0, &[told, "One group: 07.png, 08.png, 09.png, 10.png, 11.png, 12.png, 13.png"]);
+    holds(&set.camera(&["set"], &[]), 0, &[told, "One group: 00.png, 01.png, 02.png, 03.png, 04.png, 05.png, 06.png"]);
 }
 
 /// Poses of a board in air, all over the picture; `tilt` and `depth` scale how much they differ.
