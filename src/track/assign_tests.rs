@@ -7,7 +7,7 @@ use crate::source::{Clock, Timestamp};
 use crate::testing::fixture;
 use crate::testing::two_views::views;
 use crate::track::assign::Assigner;
-use nalgebra::{Matrix2, Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix2, Point2, Point3, Vector3};
 
 /// Base, coil and tip on a 3.2 mm tube; two views through water, side by side in the picture, 2 px/mm.
 fn rig() -> Rig {
@@ -209,4 +209,20 @@ fn many_views_of_many_things_are_gone_through_soon() {
     let began = std::time::Instant::now();
     assert_eq!(Assigner::new(&rig).assign(&rig, &blobs, at(17)).len(), 3);
     assert!(began.elapsed().as_secs() < 60, "{:?}", began.elapsed());
+}
+
+/// The base band rests, and a coil that may be the other's is not taken for the one that is hidden.
+#[test]
+fn of_two_catheters_the_base_band_is_the_one_at_rest_and_a_hidden_coil_is_not_the_other_s() {
+    let mut rig = rig();
+    let rest = places(0.0)[0];
+    rig.base.as_mut().unwrap().base_from_camera = Isometry3::translation(-rest.x, -rest.y, -rest.z);
+    let other = tube(&rig, places(0.03));
+    let both = [tube(&rig, places(0.0)), other.clone()].concat();
+    assert!(all_found(&off_mm(&after_a_frame(&rig), &rig, &both)));
+    assert!(off_mm(&Assigner::new(&rig), &rig, &both)[0].as_ref().is_ok_and(|mm| *mm < 0.05));
+    let hidden = [thing(&rig, 0, rest), other].concat();
+    let found = off_mm(&after_a_frame(&rig), &rig, &hidden);
+    assert!(found[0].as_ref().is_ok_and(|mm| *mm < 0.05), "{found:?}");
+    assert!(found[1].is_err() && found[2].is_err(), "{found:?}");
 }

@@ -50,12 +50,7 @@ impl FirstColours {
     fn light(&self, (group, view, fit): (&Group, usize, &ViewFit), encoding: &Encoding) -> f64 {
         let changes = bands(group, fit).map(|(marker, colour)| {
             let level = self.levels.get(marker, view).filter(|level| level.frames >= MIN_FRAMES)?;
-            let along = level.mean.try_normalize(0.0)?;
-            let change = colour - level.mean;
-            let brighter = change.dot(&along);
-            let hue = (change - along * brighter).norm();
-            let stored = |colour: &Vector3<f64>| colour.map(|c| f64::from(encoding.encode(c as f32).0)).norm();
-            (hue <= MAX_HUE_CHANGE * brighter.abs()).then(|| (stored(&colour) / stored(&level.mean)).ln())
+            brighter(&level.mean, &colour, encoding)
         });
         changes.collect::<Option<Vec<_>>>().map_or(0.0, |changes| common(&changes))
     }
@@ -71,6 +66,16 @@ impl FirstColours {
             }
         }
     }
+}
+
+/// ln of the factor by which a colour is stored brighter than another; `None` if the hue changed.
+fn brighter(before: &Vector3<f64>, now: &Vector3<f64>, encoding: &Encoding) -> Option<f64> {
+    let along = before.try_normalize(0.0)?;
+    let change = now - before;
+    let brighter = change.dot(&along);
+    let hue = (change - along * brighter).norm();
+    let stored = |colour: &Vector3<f64>| colour.map(|c| f64::from(encoding.encode(c as f32).0)).norm();
+    (hue <= MAX_HUE_CHANGE * brighter.abs()).then(|| (stored(now) / stored(before)).ln())
 }
 
 /// The markers of a fit, and the fitted colours of their bands.
@@ -108,4 +113,31 @@ impl Noisier {
 fn common(changes: &[f64]) -> f64 {
     let least = |sign: f64| changes.iter().map(|change| sign * change).fold(f64::INFINITY, f64::min).max(0.0);
     if changes.is_empty() { 0.0 } else { least(1.0) - least(-1.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::Transfer;
+
+    #[test]
+    fn more_light_is_told_from_a_grey_object_in_front() {
+        let encoding = Encoding::new(Transfer::Linear);
+        let red = Vector3::new(0.4, 0.1, 0.05);
+        assert!(brighter(&red, &(red * 1.6), &encoding).is_some_and(|ln| (ln - 1.6_f64.ln()).abs() < 1e-6));
+        assert!(brighter(&red, &(red * 0.5), &encoding).is_some_and(|ln| (ln - 0.5_f64.ln()).abs() < 1e-6));
+        let half_hidden = red * 0.5 + Vector3::repeat(0.6) * 0.5;
+        assert_eq!(brighter(&red, &half_hidden, &encoding), None);
+    }
+
+    #[test]
+    fn what_all_bands_show_for_long_is_usual_and_what_one_shows_is_not() {
+        let lasting = |differences: [Vec<f64>; 2]| {
+            let mut noisier = Noisier::default();
+            (0..2 * LASTING_FRAMES).find_map(|_| noisier.lasting(&differences))
+        };
+        assert_eq!(lasting([vec![0.4, 0.5], vec![0.3]]), Some(0.3));
+        assert_eq!(lasting([vec![0.4, 0.5], vec![0.01]]), None);
+        assert_eq!(lasting([vec![0.4, 0.5], vec![]]), None);
+    }
 }

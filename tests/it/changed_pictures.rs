@@ -155,6 +155,27 @@ fn a_picture_shown_twice_with_other_noise_is_not_answered() {
     assert!(refused + 3 >= again.len(), "{again:?}");
 }
 
+/// The picture in a light of two fifths.
+fn dimmed(picture: &Picture) -> Picture {
+    with_rows(picture, |i, j| {
+        let plane = picture.plane(i).unwrap();
+        let black = if i == 0 { 16.0 } else { 128.0 };
+        let dim = |x: usize| (black + (f32::from(plane.row(j).unwrap()[x]) - black) * 0.66).round() as u8;
+        (0..plane.width).map(dim).collect()
+    })
+}
+
+#[test]
+fn a_lamp_that_goes_on_hides_nothing() {
+    let mut frames = swing();
+    for frame in &mut frames[..COUNT / 2] {
+        frame.picture = dimmed(&frame.picture);
+    }
+    let (found, _) = tracked(&frames);
+    let missed = found.iter().flat_map(|estimate| &estimate.markers).filter(|marker| marker.position.is_err()).count();
+    assert!(missed <= 3, "{missed} of {}", 3 * COUNT);
+}
+
 #[test]
 fn views_out_of_step_widen_sigma_and_are_warned_of() {
     let frames = swing();

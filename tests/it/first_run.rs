@@ -62,7 +62,9 @@ fn no_rig_is_ever_lost() {
         [("ros.yaml", "rig.toml.bak"), ("opencv4.yml", "rig.toml.bak2"), ("ros.yaml", "rig.toml.bak3")]
     {
         let camera = in_repository(&format!("tests/data/cameras/{camera}"));
-        let said = ended_with(&catoptra(&place, &["rig", "import", &camera, "--out", "rig.toml"]), 0);
+        let output = catoptra(&place, &["rig", "import", &camera, "--out", "rig.toml"]);
+        ended_with(&output, 0);
+        let said = stdout(&output);
         assert!(
             said.contains("written: rig.toml") && said.contains(&format!("{backup} (the rig as it was)")),
             "{said}"
@@ -81,7 +83,9 @@ fn no_rig_is_ever_lost() {
 fn export_says_what_it_wrote() {
     let place = Place::new();
     for (format, what) in [("opencv", "the camera as OpenCV YAML"), ("ros", "the camera as ROS camera_info")] {
-        let said = ended_with(&catoptra(&place, &["rig", "export", "rig.toml", "--format", format, "-o", "made"]), 0);
+        let output = catoptra(&place, &["rig", "export", "rig.toml", "--format", format, "-o", "made"]);
+        ended_with(&output, 0);
+        let said = stdout(&output);
         assert!(said.contains(&format!("written: made, {what}")), "{said}");
     }
 }

@@ -139,7 +139,7 @@ fn options_that_mean_nothing() {
     let video = sample("rest.mkv");
     refused(&place, &video, &["--from", "0.2", "--to", "0.1"], &["0.2 s to 0.1 s"]);
     refused(&place, &video, &["--from", "7"], &["7 s", "0.317 s"]);
-    refused(&place, &video, &["--from", "late"], &["expected seconds"]);
+    refused(&place, &video, &["--from", "late"], &["expected a time"]);
     refused(&place, &video, &["--to", "-1"], &["-1 s", "the first, at 0 s"]);
     refused(&place, &video, &["--fps", "60"], &["has its own time stamps"]);
     refused(&place, &video, &["--threads", "0"], &["1..=256"]);
