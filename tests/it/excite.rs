@@ -49,7 +49,7 @@ fn limits_are_kept_by_refusing_or_by_cutting_off() {
         assert!(!folder.path().join("i.csv").exists());
     };
     refused(&["chirp", "--amplitude", "150mA"], "on exceeds the limit of 100.0 mA: an amplitude of 100.0 mA keeps it");
-    refused(&["chirp", "--slew", "3A/s"], "an amplitude of 61.5 mA keeps it");
+    refused(&["chirp", "--slew", "3A/s"], "an amplitude of 61.4 mA keeps it");
     refused(&["steps", "--levels", "0mA,100mA", "--hold", "0.1s", "--slew", "0.5A/s"], "takes 0.200 s at 0.5 A/s");
     refused(&["multisine", "--period", "20.01s"], "is the nearest");
     refused(&["chirp", "--to", "31Hz"], "stay below 30 Hz");
