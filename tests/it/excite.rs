@@ -53,7 +53,7 @@ fn limits_are_kept_by_refusing_or_by_cutting_off() {
     refused(&["steps", "--levels", "0mA,100mA", "--hold", "0.1s", "--slew", "0.5A/s"], "takes 0.200 s at 0.5 A/s");
     refused(&["multisine", "--period", "20.01s"], "is the nearest");
     refused(&["chirp", "--to", "31Hz"], "stay below 30 Hz");
-    refused(&["chirp", "--amplitude", "100"], "write for example 100mA");
+    refused(&["chirp", "--amplitude", "100"], "`100` has no unit: write 100mA");
     refused(&["chirp", "--coils", "a,a"], "--coils: names of columns, all different");
 
     let (table, message) = made(folder.path(), &["chirp", "--amplitude", "150mA", "--slew", "3A/s", "--clip"]);
