@@ -11,8 +11,8 @@ use super::data::Segment;
 use super::estimated::Estimated;
 use super::fit::{InitialState, Kind, compare};
 
-/// Ratio of the mean squares, corrected for the number of coefficients, from which it is told: a test holds that 20 systems
-/// of second order, with 1000 samples each and a full model of order 8, stay below it.
+/// Ratio of the mean squares, corrected for the number of coefficients, from which it is told. A test holds that 20
+/// systems of second order, with 1000 samples each and a full model of order 8, stay below it.
 const RATIO: f64 = 1.25;
 /// Less than this of the output's energy is told by no one: rounding, or a record without noise.
 const LEAST_PERCENT: f64 = 1e-4;
