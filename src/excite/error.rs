@@ -98,8 +98,8 @@ pub(crate) enum ExciteError {
     },
     /// Beyond the limit of current.
     #[error(
-        "the current reaches {:.1} mA, and from {at_s:.3} s on exceeds the limit of {limit} mA: an amplitude of {limit} \
-         mA keeps it", value_a * 1e3, limit = rounded_down_ma(*limit_a)
+        "the current reaches {:.1} mA, and from {at_s:.3} s on exceeds the limit of {limit} mA: an amplitude of \
+         {limit} mA keeps it", value_a * 1e3, limit = rounded_down_ma(*limit_a)
     )]
     Current {
         /// Time of the first current beyond the limit, seconds.

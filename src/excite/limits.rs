@@ -154,8 +154,8 @@ mod tests {
         );
         assert_eq!(
             message(&[0.1, -0.1]),
-            "the current changes by up to 2.000 A/s, and from 0.100 s on exceeds the limit of 1 A/s: an amplitude of 50.0 \
-             mA keeps it"
+            "the current changes by up to 2.000 A/s, and from 0.100 s on exceeds the limit of 1 A/s: an amplitude of \
+             50.0 mA keeps it"
         );
         // The return to zero counts.
         let back = Limits { slew_a_s: Some(0.5), ..limits };

@@ -141,7 +141,8 @@ mod tests {
         assert!(((high - low) / (3.92 * sd) - 1.0).abs() < 0.25);
     }
 
-    /// One more of them is outside of an interval of 100 in 5 % of cases, not in the 7 % beyond the quantiles of the 100.
+    /// One more of them is outside of an interval of 100 in 5 % of cases, not in the 7 % beyond the quantiles of the
+    /// 100.
     #[test]
     fn an_interval_of_few_values_contains_the_next_one() {
         let mut random = crate::testing::random::Random::new(1);

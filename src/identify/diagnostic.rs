@@ -325,8 +325,8 @@ impl fmt::Display for Diagnostic {
             Self::Frozen { record, frozen: Frozen { from_s, samples, value, ratio } } => write!(
                 f,
                 "{record}: the input is {value:.6} for {samples} samples from {from_s:.3} s on, far longer than usual, \
-                 and the error of the model is {ratio:.1} times as large meanwhile: did its sensor or the logging hang? \
-                 Leave this part out"
+                 and the error of the model is {ratio:.1} times as large meanwhile: did its sensor or the logging \
+                 hang? Leave this part out"
             ),
             Self::Nonlinear { record, found: Nonlinear { of, element, sigmas } } => {
                 let sigmas = sigmas.abs();
@@ -444,8 +444,8 @@ impl fmt::Display for Diagnostic {
             ),
             Self::BeyondNoise { left } => write!(
                 f,
-                "what the model leaves of the periods' lines is {left:.2} times what noise explains: what repeats is not \
-                 linear, or of a higher order (--reduce); σ is widened by the root of that"
+                "what the model leaves of the periods' lines is {left:.2} times what noise explains: what repeats is \
+                 not linear, or of a higher order (--reduce); σ is widened by the root of that"
             ),
             Self::FewPeriods { periods } => {
                 write!(

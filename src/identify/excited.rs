@@ -15,29 +15,28 @@ const PADDING: usize = 1;
 
 /// Lower and upper edge, Hz; everything up to half the sampling rate for an input that does not change.
 pub(super) fn excited_hz(segments: &[Segment], period_s: f64) -> (f64, f64) {
-    band_hz(segments, |segment| &segment.input, period_s)
+    band_hz(segments.iter().map(|segment| &segment.input[..]), period_s)
 }
 
 /// Frequency below which 99 % of the output's energy lies, Hz. Outputs that are missing are taken from a line between
 /// their neighbours.
 pub(super) fn output_ends_hz(segments: &[Segment], period_s: f64) -> f64 {
-    let bridged = |segment: &Segment| Segment { output: bridged(&segment.output, usize::MAX), ..segment.clone() };
-    let segments: Vec<Segment> = segments.iter().map(bridged).collect();
-    band_hz(&segments, |segment| &segment.output, period_s).1
+    let outputs: Vec<Vec<f64>> = segments.iter().map(|segment| bridged(&segment.output, usize::MAX)).collect();
+    band_hz(outputs.iter().map(Vec::as_slice), period_s).1
 }
 
-fn band_hz(segments: &[Segment], signal: fn(&Segment) -> &[f64], period_s: f64) -> (f64, f64) {
+fn band_hz<'a>(signals: impl Iterator<Item = &'a [f64]> + Clone, period_s: f64) -> (f64, f64) {
     let nyquist_hz = 0.5 / period_s;
     // What is missing at an end is no motion.
-    let known = |segment| signal(segment).iter().copied().filter(|v: &f64| !v.is_nan());
-    let samples: usize = segments.iter().map(|segment| known(segment).count()).sum();
-    let mean = segments.iter().flat_map(known).sum::<f64>() / samples.max(1) as f64;
-    let longest = segments.iter().map(|segment| signal(segment).len()).max().unwrap_or(0);
+    let known = |signal: &'a [f64]| signal.iter().copied().filter(|v| !v.is_nan());
+    let samples: usize = signals.clone().map(|signal| known(signal).count()).sum();
+    let mean = signals.clone().flat_map(known).sum::<f64>() / samples.max(1) as f64;
+    let longest = signals.clone().map(<[f64]>::len).max().unwrap_or(0);
     let length = ((1 + PADDING) * longest).next_power_of_two();
     let transform = FftPlanner::new().plan_fft_forward(length);
     let mut power = vec![0.0; length / 2 + 1];
-    for segment in segments {
-        let mut buffer: Vec<Complex<f64>> = known(segment).map(|v| Complex::new(v - mean, 0.0)).collect();
+    for signal in signals {
+        let mut buffer: Vec<Complex<f64>> = known(signal).map(|v| Complex::new(v - mean, 0.0)).collect();
         buffer.resize(length, Complex::new(0.0, 0.0));
         transform.process(&mut buffer);
         power.iter_mut().zip(&buffer).for_each(|(sum, line)| *sum += line.norm_sqr());

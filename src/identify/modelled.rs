@@ -96,8 +96,8 @@ impl BandwidthOf {
 pub struct BandwidthEstimate {
     /// Of the model.
     pub bandwidth: Bandwidth,
-    /// Hz: of averaged periods by their covariance, otherwise by the bootstrap; `None` without it, when it gave too few, or
-    /// when the interval is open.
+    /// Hz: of averaged periods by their covariance, otherwise by the bootstrap; `None` without it, when it gave too
+    /// few, or when the interval is open.
     pub interval_hz: Option<(f64, f64)>,
 }
 

@@ -114,14 +114,18 @@ fn directions(signal: &[f64]) -> Vec<f64> {
 struct Long<'a> {
     segments: &'a [Segment],
     model: Polynomials,
+    /// What it leaves of the output; NaN where there is no row.
+    residual: Vec<Vec<f64>>,
 }
 
 impl<'a> Long<'a> {
     fn of(record: &'a Record, nk: usize) -> Option<Self> {
-        let mut long = Self { segments: &record.segments, model: Polynomials { a: Vec::new(), b: Vec::new(), nk } };
+        let model = Polynomials { a: Vec::new(), b: Vec::new(), nk };
+        let mut long = Self { segments: &record.segments, model, residual: Vec::new() };
         let parameters = long.solved(|_, _| None)?;
         let (linear, _) = parameters.as_slice().split_at_checked(2 * ORDER)?;
         long.model = Polynomials::of(linear, ORDER, nk);
+        long.residual = long.left(&parameters, |_, _| None);
         Some(long)
     }
 
@@ -173,7 +177,7 @@ impl<'a> Long<'a> {
         let value = |k: usize, t: usize| signal.get(k)?.get(t).copied();
         let whole: f64 = signal.iter().flatten().map(|v| v * v).sum();
         let own = self.left(&self.solved(value)?, value);
-        let mut left = self.left(&self.solved(|_, _| None)?, |_, _| None);
+        let mut left = self.residual.clone();
         let seen = || own.iter().flatten().copied().filter(|v| !v.is_nan());
         let (square, rows) = (seen().map(|v| v * v).sum::<f64>(), seen().count());
         if square.is_nan() || square <= LEAST_OWN * LEAST_OWN * whole {

@@ -68,6 +68,12 @@ pub(crate) const CAP: usize = SHADING + SHADES;
 pub(crate) const FIXED: usize = CAP + 1;
 pub(crate) const PER_SEGMENT: usize = 3;
 
+/// Where the colour of a segment begins among them.
+#[inline(always)]
+pub(crate) const fn segment_at(segment: usize) -> usize {
+    FIXED + PER_SEGMENT * segment
+}
+
 /// √(1−x²) − π/4 ≈ Q0 + Q2 x² + Q4 x⁴ + Q6 x⁶ (least squares over [−1, 1]).
 const Q0: f32 = 0.219_600;
 const Q2: f32 = -0.649_345;

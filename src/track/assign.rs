@@ -37,8 +37,8 @@ const MEMORY_S: f64 = 0.25;
 /// was not seen recently.)
 const MISSING_COST: f64 = 62.0;
 const MISSING_VIEW_COST: f64 = 10.0;
-/// Where the base band rests is known to this before it was seen there, and after; a camera that was moved before the run
-/// costs no more than this.
+/// Where the base band rests is known to this before it was seen there, and after; a camera that was moved before the
+/// run costs no more than this.
 const REST_SD_M: (f64, f64) = (10e-3, 5e-3);
 const MAX_REST_COST: f64 = 25.0;
 /// So far from there a band is not the base band.
@@ -152,9 +152,9 @@ impl Assigner {
                         candidates[m].iter().filter(|c| c.cost < candidates[m][chosen].cost + CLEAR_COST).count();
                     return Err(Miss::Ambiguous { candidates: close.max(2) });
                 }
-                let recent = self.recent(m, stamp);
-                let goes_on = recent.is_some_and(|(place, _)| (here.point - place).norm() < GOES_ON_M);
-                if m > 0 && !goes_on && others.iter().any(|other| reaches(rig, m, other, &here.point)) {
+                let goes_on = |(place, _): (Point3<f64>, f64)| (here.point - place).norm() < GOES_ON_M;
+                let may_be_another_s = m > 0 && others.iter().any(|other| reaches(rig, m, other, &here.point));
+                if may_be_another_s && !self.recent(m, stamp).is_some_and(goes_on) {
                     return Err(Miss::Ambiguous { candidates: 2 });
                 }
                 Ok(here.clone())

@@ -5,7 +5,7 @@
 //! and selected at run time; the results are identical to the last bit.
 
 use crate::track::appearance::{
-    Across, BACKGROUND, CAP, Edges, FIXED, GRADIENT, HARMONICS, Layout, PER_SEGMENT, SHADING, TURNING,
+    Across, BACKGROUND, CAP, Edges, GRADIENT, HARMONICS, Layout, SHADING, TURNING, segment_at,
 };
 use crate::track::light::Encoding;
 use crate::track::normal::{
@@ -126,7 +126,7 @@ impl<'a> Scene<'a> {
         let [start, rest @ ..] = image.piece(place.knot);
         let axis = [start - middle, rest[0], rest[1], rest[2]].map(|v| [v.x as f32, v.y as f32]);
         let light = |segment: usize| {
-            let colour = |c: usize| colours[FIXED + PER_SEGMENT * segment + c] as f32;
+            let colour = |c: usize| colours[segment_at(segment) + c] as f32;
             if segment < layout.segments() { std::array::from_fn(colour) } else { [0.0; 3] }
         };
         Piece {

@@ -4,8 +4,8 @@
 //! blur of an edge nothing is known of what lies outside of the tube. So where their median over all bands and views is
 //! not 1, the coil's stretch is fitted once more in some frames, with the diameter that they tell, until they agree. An
 //! object in front, an edge beside a band, or what is glued around one of them, changes few widths, and then they
-//! scatter. Blur that is not noticed as such makes all bands wider; so the same frames are fitted with the rig's diameter
-//! and another blur, and the pictures decide.
+//! scatter. Blur that is not noticed as such makes all bands wider; so the same frames are fitted with the rig's
+//! diameter and another blur, and the pictures decide.
 //!
 //! Cannot tell: a tube of another diameter from tape around all bands, nor from a wrong scale of all views.
 
@@ -66,11 +66,6 @@ impl Diameter {
     pub(crate) fn of(rig: &Rig) -> Self {
         let (rig_m, widths) = (rig.catheter.diameter_m, ByBand::new(rig, |_, _| Mean::default()));
         Self { rig_m, widths, times: 1.0, tries: Vec::new(), rounds: 0, spread: None, is_better: false }
-    }
-
-    /// Begins anew, with another blur.
-    pub(crate) fn forget(&mut self, rig: &Rig) {
-        *self = Self::of(rig);
     }
 
     /// Adds what a frame shows.

@@ -357,8 +357,8 @@ mod tests {
         }
     }
 
-    /// Drawn with another radius than that of the fit. (Of large differences it tells only the sign: light is not linear
-    /// in what is stored.)
+    /// Drawn with another radius than that of the fit. (Of large differences it tells only the sign: light is not
+    /// linear in what is stored.)
     #[test]
     fn bands_look_as_wide_as_the_tube_is() {
         let start = TubeShape::straight(Tube::along(Vector3::y()).centre, &Vector3::new(0.1, 1.0, 0.05), 6e-3);

@@ -121,9 +121,10 @@ impl Judge {
                     (self.usual_widths.unusual_sd(*marker, v, width, half_px) - CHANCE_SD).max(0.0)
                 });
                 let of_widths = of_widths.fold(0.0, f64::max);
-                let of_residuals = match alike == group.reference {
-                    true => self.usual.above(alike, v, rms, common),
-                    false => self.usual.above_alike(alike, v, rms),
+                let of_residuals = if alike == group.reference {
+                    self.usual.above(alike, v, rms, common)
+                } else {
+                    self.usual.above_alike(alike, v, rms)
                 };
                 of_residuals.hypot(of_size).hypot(of_widths)
             });
@@ -162,8 +163,8 @@ impl Judge {
             // Of a band that is alone for the first time, what was seen of it together with others.
             let known = self.usual.is_known(group.reference, view);
             let alike = if known { group.reference } else { self.stretch[group.reference] };
-            let usual = |rms: f64| self.usual.difference(alike, view, rms);
-            let rms = fit.rms * self.first_colours.factor((group, view, fit), encoding, usual(fit.rms));
+            let difference = self.usual.difference(alike, view, fit.rms);
+            let rms = fit.rms * self.first_colours.factor((group, view, fit), encoding, difference);
             Residual { alike, view, rms }
         };
         views.iter().zip(of_views).map(one).collect()

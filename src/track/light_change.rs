@@ -5,7 +5,7 @@
 //! views, and remain so, become usual.
 
 use crate::rig::Rig;
-use crate::track::appearance::{FIXED, PER_SEGMENT};
+use crate::track::appearance::{PER_SEGMENT, segment_at};
 use crate::track::by_band::ByBand;
 use crate::track::fit::ViewFit;
 use crate::track::light::Encoding;
@@ -45,8 +45,8 @@ impl FirstColours {
         (-difference.unwrap_or(0.0).clamp(light.min(0.0), light.max(0.0))).exp()
     }
 
-    /// ln of the factor by which all bands of a fit are stored brighter than in the first frames; 0 where a hue changed,
-    /// or too little is known.
+    /// ln of the factor by which all bands of a fit are stored brighter than in the first frames; 0 where a hue
+    /// changed, or too little is known.
     fn light(&self, (group, view, fit): (&Group, usize, &ViewFit), encoding: &Encoding) -> f64 {
         let changes = bands(group, fit).map(|(marker, colour)| {
             let level = self.levels.get(marker, view).filter(|level| level.frames >= MIN_FRAMES)?;
@@ -81,8 +81,8 @@ fn brighter(before: &Vector3<f64>, now: &Vector3<f64>, encoding: &Encoding) -> O
 /// The markers of a fit, and the fitted colours of their bands.
 fn bands<'a>(group: &'a Group, fit: &'a ViewFit) -> impl Iterator<Item = (usize, Vector3<f64>)> + 'a {
     group.members.iter().enumerate().filter_map(|(member, (marker, _))| {
-        let at = FIXED + PER_SEGMENT * (2 * member + 1);
-        Some((*marker, Vector3::from_column_slice(fit.look.colours.get(at..at + 3)?)))
+        let at = segment_at(2 * member + 1);
+        Some((*marker, Vector3::from_column_slice(fit.look.colours.get(at..at + PER_SEGMENT)?)))
     })
 }
 

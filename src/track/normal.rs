@@ -8,7 +8,7 @@
 //!
 //! Blocks are small and summed in vectors of eight: compiled for wider ones, twice as slow where measured (Zen 4).
 
-use crate::track::appearance::{BACKGROUND, CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, SHADES, SHADING};
+use crate::track::appearance::{BACKGROUND, CAP, GRADIENT, Layout, PER_SEGMENT, SHADES, SHADING, segment_at};
 use crate::track::padded::{PADDED, Padded, PaddedSquare, padded, unpadded, unpadded_square};
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
@@ -96,7 +96,7 @@ const PLAIN_MOVES: [usize; 2] = [ROW_ACROSS, ROW_ACROSS + 1];
 /// The colour that element `i` of a row at `ring` belongs to; `None` for the shape, for padding, and for a segment that
 /// does not exist.
 pub(crate) fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
-    let segment = |j: usize, c: usize| (j < layout.segments()).then_some(FIXED + PER_SEGMENT * j + c);
+    let segment = |j: usize, c: usize| (j < layout.segments()).then_some(segment_at(j) + c);
     match i {
         ROW_BACKGROUND..ROW_GRADIENT => Some(BACKGROUND + i - ROW_BACKGROUND),
         ROW_GRADIENT..ROW_SHADING => Some(GRADIENT + i - ROW_GRADIENT),

@@ -5,7 +5,7 @@
 //! wide as the sampling. Only its derivatives are those at its own place, through a blur as wide as its neighbourhood.
 
 use crate::source::{Picture, Plane};
-use crate::track::appearance::{BACKGROUND, CAP, FIXED, Layout, PER_SEGMENT};
+use crate::track::appearance::{BACKGROUND, CAP, Layout, segment_at};
 use crate::track::light::Encoding;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::Span;
@@ -394,7 +394,7 @@ impl Patch {
             // alternate.
             let alike = [class.wrapping_sub(2), class + 2].into_iter().find_map(|j| mean(sums[..segments].get(j)?));
             let light = mean(sum).or(alike).unwrap_or(background);
-            let at = if class == segments { BACKGROUND } else { FIXED + PER_SEGMENT * class };
+            let at = if class == segments { BACKGROUND } else { segment_at(class) };
             colours[at..at + 3].copy_from_slice(light.as_slice());
         }
         colours[CAP] = 1.0;

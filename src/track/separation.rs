@@ -1,7 +1,7 @@
 //! How far the colour that was fitted to a band is from those beside it: 1 as learned, 0 the same.
 
 use crate::rig::Rig;
-use crate::track::appearance::{FIXED, PER_SEGMENT};
+use crate::track::appearance::segment_at;
 use crate::track::light::Encoding;
 use crate::track::stretch::Group;
 use nalgebra::Vector3;
@@ -17,11 +17,10 @@ pub(crate) fn separation(
 ) -> f64 {
     let Some(model) = rig.markers[group.members[member].0].colour(view) else { return 0.0 };
     let rgb = |at: usize| Vector3::from_fn(|c, _| f64::from(encoding.encode(colours[at + c] as f32).0));
-    let segment = |j: usize| FIXED + PER_SEGMENT * j;
     let band = 2 * member + 1;
     let last = group.stretch.layout.segments() - 1;
-    let neighbours = [Some(segment(band - 1)), (band < last).then(|| segment(band + 1)), Some(0)];
-    let own = rgb(segment(band));
+    let neighbours = [Some(segment_at(band - 1)), (band < last).then(|| segment_at(band + 1)), Some(0)];
+    let own = rgb(segment_at(band));
     let apart = neighbours.into_iter().flatten().map(|at| model.separation(&own, &rgb(at)));
     apart.fold(f64::INFINITY, f64::min)
 }

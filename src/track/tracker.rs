@@ -424,7 +424,7 @@ impl Tracker {
     fn begin_resting(&mut self) {
         self.shake.forget();
         self.moved.forget();
-        self.diameter.forget(&self.rig);
+        self.diameter = Diameter::of(&self.rig);
     }
 
     /// Remembers where the tube is, for later frames.

@@ -4,7 +4,8 @@ use crate::support::command::{rig, sample};
 use catoptra::source::{FrameSource as _, Span, VideoFile, VideoOptions};
 use catoptra::track::{TrackOptions, Tracker};
 
-/// What is said of the diameter in the first three seconds of a recording, where the rig's is so many times the true one.
+/// What is said of the diameter in the first three seconds of a recording, where the rig's is so many times the true
+/// one.
 fn said(name: &str, times: f64) -> Option<String> {
     let mut rig = rig();
     rig.catheter.diameter_m *= times;

@@ -17,8 +17,8 @@ pub(super) const LIMITS_PX: (f64, f64) = (0.3, 3.0);
 /// Moves towards the best blurs, and how close they end, difference of the logarithm.
 const MOST_MOVES: usize = 5;
 const SETTLED: f64 = 0.02;
-/// σ that all frames have in common, from errors of the image model, of the logarithm. Measured: in a lossless recording
-/// with one view blurred by 0.8 pixels, 0.48 and 0.91 px were found where 0.467 and 0.926 px are right.
+/// σ that all frames have in common, from errors of the image model, of the logarithm. Measured: in a lossless
+/// recording with one view blurred by 0.8 pixels, 0.48 and 0.91 px were found where 0.467 and 0.926 px are right.
 const MODEL_SD: f64 = 0.03;
 
 /// Finds the views' blurs; returns σ of that of each view from this view alone, pixels, `None` where it does not tell.
