@@ -62,6 +62,8 @@ pub struct ReportSink {
     /// Opened at the start, so that a folder without write access is noticed before the run, not after it. `None` when
     /// finished.
     file: Option<File>,
+    /// Whether the page has its head.
+    begun: bool,
     info: RunInfo,
     course: Course,
     moments: Moments,
@@ -75,7 +77,19 @@ impl ReportSink {
     pub fn create(path: &Path, rig: &Rig, info: RunInfo) -> Result<Self, SinkError> {
         let file = File::create(path).map_err(|source| SinkError::Io { path: path.into(), source })?;
         let course = Course::new(rig, info.camera_frame);
-        Ok(Self { path: path.into(), file: Some(file), info, course, moments: Moments::new(rig) })
+        Ok(Self { path: path.into(), file: Some(file), begun: false, info, course, moments: Moments::new(rig) })
+    }
+
+    /// Writes the head of the page, unless it is there. It is written while the tracker works: the run waits for what
+    /// is left to the end.
+    fn begin(&mut self) -> Result<(), SinkError> {
+        if !std::mem::replace(&mut self.begun, true)
+            && let Some(file) = &mut self.file
+        {
+            let written = page::begin(file, &tracking::title(&self.info));
+            written.map_err(|source| SinkError::Io { path: self.path.clone(), source })?;
+        }
+        Ok(())
     }
 }
 
@@ -85,13 +99,14 @@ impl Sink for ReportSink {
         if let Some(picture) = picture {
             self.moments.add(estimate, picture);
         }
-        Ok(())
+        self.begin()
     }
 
     fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
+        self.begin()?;
         let Some(mut file) = self.file.take() else { return Ok(()) };
         let pictures = self.moments.section(tally.frames, self.course.origin());
-        let (title, body) = tracking::render(&self.info, &self.course, tally, &pictures);
-        page::write_page(&mut file, &title, &body).map_err(|source| SinkError::Io { path: self.path.clone(), source })
+        let body = tracking::render(&self.info, &self.course, tally, &pictures);
+        page::end(&mut file, &body).map_err(|source| SinkError::Io { path: self.path.clone(), source })
     }
 }

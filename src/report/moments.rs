@@ -1,7 +1,7 @@
 //! The first, the best and the worst frame of a run, and their pictures.
 //!
-//! Best and worst are judged first by misses, then by σ. A picture is kept when its frame is the first, or a twentieth
-//! better or worse than the one kept before: three are in memory.
+//! Best and worst are judged first by misses, then by σ. A picture is kept when its frame is a twentieth better or worse
+//! than the one kept before: two are in memory. The first is drawn at once, while the tracker works.
 
 use super::html::Html;
 use super::page;
@@ -21,9 +21,15 @@ pub(super) struct Moments {
     stills: Stills,
     views: Vec<String>,
     names: Vec<String>,
-    first: Option<Moment>,
+    first: Option<First>,
     best: Option<Moment>,
     worst: Option<Moment>,
+}
+
+/// The first frame, and its picture as a file.
+struct First {
+    estimate: Estimate,
+    drawn: Result<Vec<u8>, StillError>,
 }
 
 struct Moment {
@@ -82,7 +88,10 @@ impl Moments {
                 *place = Some(Moment { estimate: estimate.clone(), picture: picture.clone(), quality });
             }
         };
-        keep(self.first.is_none(), &mut self.first);
+        self.first.get_or_insert_with(|| First {
+            estimate: estimate.clone(),
+            drawn: self.stills.jpeg(picture, estimate, Window::whole(picture.size_px())),
+        });
         keep(best, &mut self.best);
         keep(worst, &mut self.worst);
     }
@@ -99,25 +108,27 @@ impl Moments {
                 ),
             };
         };
-        let all: Vec<&Moment> = [Some(first), self.best.as_ref(), self.worst.as_ref()].into_iter().flatten().collect();
-        let part = around(&all, first.picture.size_px());
-        let whole = Window::whole(first.picture.size_px());
-        let mut shown = vec![("First frame", first, whole)];
-        let new = |moment: &&Moment| moment.estimate.seq != first.estimate.seq;
-        shown.extend(self.best.as_ref().filter(new).map(|best| ("Best frame", best, part)));
-        shown.extend(self.worst.as_ref().filter(new).map(|worst| ("Worst frame", worst, part)));
-        // The run waits for them.
-        let drawn = shown.into_par_iter().map(|(name, moment, part)| {
-            let at_s = origin.map_or(0.0, |origin| origin.elapsed_s(moment.estimate.stamp.ns));
-            let caption =
-                format!("{name}, at {at_s:.3} s: {}", result_in_words(&moment.estimate, &self.names, &self.views));
-            match self.stills.jpeg(&moment.picture, &moment.estimate, part) {
-                Ok(jpeg) => page::picture(&jpeg, caption),
-                Err(error) => not_drawn(&caption, &error),
+        let figure = |name: &str, estimate: &Estimate, drawn: &Result<Vec<u8>, StillError>| {
+            let at_s = origin.map_or(0.0, |origin| origin.elapsed_s(estimate.stamp.ns));
+            let caption = format!("{name}, at {at_s:.3} s: {}", result_in_words(estimate, &self.names, &self.views));
+            match drawn {
+                Ok(jpeg) => page::picture(jpeg, caption),
+                Err(error) => not_drawn(&caption, error),
             }
-        });
-        let mut drawn = drawn.collect::<Vec<_>>().into_iter();
-        let (whole, cut) = (drawn.next().unwrap_or_default(), drawn.collect::<String>());
+        };
+        let others = [("Best frame", &self.best), ("Worst frame", &self.worst)];
+        let others = others.into_iter().filter_map(|(name, moment)| Some((name, moment.as_ref()?)));
+        let others: Vec<_> = others.filter(|(_, moment)| moment.estimate.seq != first.estimate.seq).collect();
+        let part =
+            around(others.iter().map(|(_, moment)| &moment.estimate).chain([&first.estimate]), self.stills.size_px());
+        // The run waits for them.
+        let cut: String = others
+            .into_par_iter()
+            .map(|(name, moment)| {
+                figure(name, &moment.estimate, &self.stills.jpeg(&moment.picture, &moment.estimate, part))
+            })
+            .collect();
+        let whole = figure("First frame", &first.estimate, &first.drawn);
         let pictures = if cut.is_empty() { whole } else { format!("{whole}<div class=\"pair\">\n{cut}</div>\n") };
         format!(
             "{title}<p>Outlines are the bands as fitted, crosses their middles, the arrow is the coil's direction. \
@@ -161,8 +172,8 @@ fn result_in_words(estimate: &Estimate, names: &[String], views: &[String]) -> S
 }
 
 /// The window around the bands of these frames, with a margin; the whole picture when there are none.
-fn around(moments: &[&Moment], size_px: [u32; 2]) -> Window {
-    let bands = moments.iter().flat_map(|m| &m.estimate.markers).flat_map(|m| m.views.iter().flatten());
+fn around<'a>(estimates: impl Iterator<Item = &'a Estimate>, size_px: [u32; 2]) -> Window {
+    let bands = estimates.flat_map(|estimate| &estimate.markers).flat_map(|m| m.views.iter().flatten());
     let points = bands.flat_map(|band| &band.outline_px).filter(|p| p.x.is_finite() && p.y.is_finite());
     let bounds = points.fold(None, |bounds: Option<[f64; 4]>, p| {
         let [x0, y0, x1, y1] = bounds.unwrap_or([p.x, p.y, p.x, p.y]);

@@ -9,6 +9,7 @@ use crate::track::light::Encoding;
 use crate::track::light_change::{FirstColours, Noisier};
 use crate::track::separation;
 use crate::track::slip::Seen;
+use crate::track::stays::Stays;
 use crate::track::usual::Usual;
 use crate::track::widths::UsualWidths;
 use nalgebra::Vector2;
@@ -33,8 +34,9 @@ const SLIP_FRAMES: f64 = 20.0;
 
 /// What is known from the frames before.
 pub(crate) struct Judge {
-    /// Residuals of each band in each view, in the light of the first frames.
+    /// Residuals of each band in each view, in the light of the first frames: in motion, once the catheter has moved.
     pub usual: Usual,
+    stays: Stays,
     first_colours: FirstColours,
     noisier: Noisier,
     /// Ratio of a band's expected size to its blob's.
@@ -62,6 +64,7 @@ impl Judge {
     pub(crate) fn new(rig: &Rig) -> Self {
         Self {
             usual: Usual::learned(rig),
+            stays: Stays::new(rig),
             first_colours: FirstColours::new(rig),
             noisier: Noisier::default(),
             usual_size: Usual::new(rig),
@@ -87,6 +90,13 @@ impl Judge {
         }
         let variance_px2 = self.slip.variance_px2();
         self.mean_slip_px = self.slip.mean_px();
+        let images = fitted.iter().filter_map(|Fitted { group, views, result }| {
+            let images = result.as_ref().ok()?.views.iter().map(|view| view.image.at_arc(0.0).pixel);
+            Some((group.reference, views.iter().copied().zip(images).collect()))
+        });
+        if self.stays.add(images) {
+            self.usual.forget();
+        }
         let residuals: Vec<_> = fitted.iter().map(|fitted| self.residuals(encoding, fitted)).collect();
         let common = self.usual.common(residuals.iter().flatten().map(|one| (one.alike, one.view, one.rms)));
         let differences = |of_fit: &Vec<Residual>| -> Vec<f64> {
@@ -140,7 +150,9 @@ impl Judge {
                 continue;
             }
             for ((Residual { view: v, rms, .. }, view), size) in residuals.iter().zip(&fit.views).zip(sizes) {
-                self.usual.add(group.reference, *v, *rms);
+                if !self.stays.is_at_rest() {
+                    self.usual.add(group.reference, *v, *rms);
+                }
                 self.first_colours.add((group, *v, view));
                 let half_px = view.image.at_arc(0.0).half_width;
                 for ((marker, _), width) in group.members.iter().zip(&view.widths) {

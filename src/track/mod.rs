@@ -44,6 +44,7 @@ mod scatter;
 mod separation;
 mod shake;
 mod slip;
+mod stays;
 mod stretch;
 mod tracker;
 mod trials;

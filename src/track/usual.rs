@@ -108,6 +108,13 @@ impl Usual {
         Some(value.ln() - mean)
     }
 
+    /// Forgets what was seen for long enough to be known. What was learned with the rig counts again.
+    pub(crate) fn forget(&mut self) {
+        for level in self.levels.iter_mut().filter(|level| level.seen().is_some()) {
+            *level = Level { learned: level.learned, ..Level::default() };
+        }
+    }
+
     /// Multiplies all that was seen by a factor, given as its ln.
     pub(crate) fn scale(&mut self, ln_factor: f64) {
         self.levels.iter_mut().for_each(|level| level.mean += ln_factor);

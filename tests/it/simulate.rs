@@ -72,6 +72,19 @@ fn what_is_rendered_is_tracked_to_its_truth() {
     }
 }
 
+/// A coder takes the noise out of what rests, and errs again once it moves: no frame is refused for that.
+#[test]
+fn a_step_after_a_rest_is_tracked_in_a_coded_video() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("step.csv"), "t_s,x_a,y_a,z_a\n0.5,0,0,0.03\n").unwrap();
+    let args = ["--motion", "step.csv", "--fps", "60Hz", "--duration", "1.2s", "-o", "sim"];
+    good(&simulate(folder.path(), &sample_rig(), &args));
+    good(&catoptra(folder.path(), &["track", "sim/recording.mkv", "--rig", "sim/rig.toml", "-o", "out"]));
+    let (normalised, _, count) = compared(&folder.path().join("sim/truth.csv"), &folder.path().join("out/track.csv"));
+    let mean = normalised.iter().sum::<f64>() / normalised.len() as f64;
+    assert!(count >= 3 * 70 && mean < 1.4, "{count} places of 216, normalised squared error {mean}");
+}
+
 #[test]
 fn the_same_seed_gives_the_same_pictures_at_any_thread_count() {
     let folder = tempfile::tempdir().unwrap();

@@ -4,8 +4,8 @@
 //! In: runs (currents, and what was seen frame by frame). Out: values with their σ, residuals, and for everything that
 //! is not determined the experiment that would tell it.
 //!
-//! 1. Pauses in which the catheter came to rest give the noise (differences from frame to frame, taken for white) and,
-//!    by the boundary value problem of the rod, what shapes at rest depend on.
+//! 1. Pauses in which the catheter came to rest give the noise (differences from frame to frame, taken for white; not
+//!    less than the tracker states, as a coder repeats the pictures of what rests, with their errors) and, by the boundary value problem of the rod, what shapes at rest depend on.
 //! 2. From there, everything is fitted to all frames by the catheter in motion.
 //!
 //! After each step the eigenvectors of the information tell what is left open (`search.rs`); the parameter that has the
@@ -72,7 +72,7 @@ pub struct FitOptions {
     pub only_still: bool,
     /// Of the motion.
     pub accuracy: Accuracy,
-    /// What the tracker says of itself: noise where no pause shows it.
+    /// What the tracker says of itself: noise where no pause shows more.
     pub stated_noise: Option<Noise>,
 }
 
@@ -168,10 +168,11 @@ fn wrong(what: &str) -> CatheterError {
 /// [`CatheterError::Fit`] when there is nothing to fit to, the noise is not known, or the search does not settle.
 pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions) -> Result<Fit, CatheterError> {
     // 1. shapes at rest
-    let (pauses, unsettled, scatter) = still::pauses(runs, options.settle_s, delay_s);
+    let (pauses, unsettled, scatter) = still::pauses(runs, options.settle_s, delay_s, options.stated_noise);
     let noise = match (scatter, options.stated_noise) {
-        (Some((point_m, angle_rad)), _) if point_m > 0.0 && angle_rad > 0.0 => {
-            Noise { point_m, angle_rad, missing: 0.0 }
+        (Some((point_m, angle_rad)), stated) if point_m > 0.0 && angle_rad > 0.0 => {
+            let (least_m, least_rad) = stated.map_or((0.0, 0.0), |noise| (noise.point_m, noise.angle_rad));
+            Noise { point_m: point_m.max(least_m), angle_rad: angle_rad.max(least_rad), missing: 0.0 }
         }
         (_, Some(stated_noise)) => stated_noise,
         _ => {

@@ -54,8 +54,13 @@ fn mean(seen: &[Seen], of: fn(&Seen) -> Vector3<f64>) -> Vector3<f64> {
 }
 
 /// Pauses of all runs that last longer than `settle_s`, and the noise in them: (σ of a coordinate, metres; σ of a
-/// direction about one axis, radians).
-pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64) -> (Vec<Pause>, usize, Option<(f64, f64)>) {
+/// direction about one axis, radians). What differs by no more than the noise that the tracker states has settled.
+pub(super) fn pauses(
+    runs: &[Run],
+    settle_s: f64,
+    delay_s: f64,
+    stated: Option<Noise>,
+) -> (Vec<Pause>, usize, Option<(f64, f64)>) {
     let mut pauses = Vec::new();
     let mut unsettled = 0;
     // Squares and degrees of freedom of places and of directions.
@@ -81,7 +86,7 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64) -> (Vec<Pause>, 
             let squares: f64 =
                 pairs().map(|(a, b)| (b.coil - a.coil).norm_squared() + (b.tip - a.tip).norm_squared()).sum::<f64>()
                     / 2.0;
-            let sd_m = (squares / (6.0 * (n - 1.0))).sqrt();
+            let sd_m = (squares / (6.0 * (n - 1.0))).sqrt().max(stated.map_or(0.0, |noise| noise.point_m));
             let (early, late) = seen.split_at(half);
             let apart = (mean(early, |s| s.tip) - mean(late, |s| s.tip)).norm();
             if apart > UNSETTLED.0 * sd_m * 2.0 / n.sqrt() && apart > UNSETTLED.1 * sd_m {

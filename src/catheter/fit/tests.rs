@@ -101,6 +101,18 @@ fn parameters_of_simulated_experiments_come_back_within_their_sigma() {
     assert!(all.iter().all(|z| z.abs() < 4.0), "{all:?}");
 }
 
+/// As in pictures that a coder repeats while nothing moves.
+#[test]
+fn noise_is_not_less_than_the_tracker_states() {
+    let run = experiment(truth(), &LEVELS, accuracy(), 3);
+    let stated = Noise { point_m: 3.0 * NOISE.point_m, angle_rad: 0.5 * NOISE.angle_rad, missing: 0.0 };
+    let options =
+        FitOptions { only_still: true, stated_noise: Some(stated), ..options(&[Parameter::Young, Parameter::Shear]) };
+    let fit = fit(&Catheter::prototype(), 0.0, &[run], &options).unwrap();
+    assert!((fit.noise.point_m / stated.point_m - 1.0).abs() < 1e-9, "{:?}", fit.noise);
+    assert!((fit.noise.angle_rad / NOISE.angle_rad - 1.0).abs() < 0.1, "{:?}", fit.noise);
+}
+
 /// The same for noise of frames that hangs together, and for noise that does not: RMS of (found − true)/σ over 60
 /// seeds.
 #[test]

@@ -180,8 +180,8 @@ pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
             }
             "repeated" => "camera or recorder show pictures twice: record at the camera's own rate".to_owned(),
             "damaged" => "the recording is damaged: copy it again".to_owned(),
-            "rays_diverge" => "camera, mirror or tank have moved since the calibration, or another thing has its \
-                colour"
+            "rays_diverge" => "camera, mirror or tank have moved since the calibration, the pictures are mirrored, \
+                turned or scaled, or another thing has its colour"
                 .to_owned(),
             "ambiguous" => "other things of its colour are in the views: cover them, or draw the regions \
                 tighter"

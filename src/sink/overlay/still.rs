@@ -36,6 +36,11 @@ impl Stills {
         Self { size_px: rig.camera.size_px, scene: Scene::new(rig) }
     }
 
+    /// Width and height of the rig's pictures, pixels.
+    pub(crate) fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
     /// The picture with outlines, names and the tangent's arrow, cropped to `part`, as a JPEG.
     ///
     /// # Errors

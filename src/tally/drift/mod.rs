@@ -102,7 +102,12 @@ impl DriftAlarm {
     /// What it means and what to do.
     pub fn advice(&self) -> &'static str {
         match self.what {
-            Drifted::Views { .. } | Drifted::Apart => {
+            Drifted::Apart => {
+                "mirror, camera or tank have moved since the calibration, or the pictures are mirrored, turned or \
+                 scaled. If it was the mirror, put the rig right with \
+                 `catoptra calibrate mirror --from-markers VIDEO --rig RIG.toml`, and track again"
+            }
+            Drifted::Views { .. } => {
                 "mirror, camera or tank have moved since the calibration. Put the rig right with \
                  `catoptra calibrate mirror --from-markers VIDEO --rig RIG.toml`, and track again"
             }
