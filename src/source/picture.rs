@@ -227,6 +227,11 @@ impl PixelFormat {
         self.chroma_log2() != [0, 0]
     }
 
+    /// Whether each pixel has its own colour.
+    pub(crate) fn has_chroma_per_pixel(self) -> bool {
+        self != Self::Grey && !self.is_subsampled()
+    }
+
     fn chroma_log2(self) -> [u8; 2] {
         match self {
             Self::Yuv { chroma_log2 } => chroma_log2,
@@ -278,6 +283,19 @@ impl Colour {
             1 => difference(2, kb),
             _ => difference(0, kr),
         }
+    }
+
+    /// The affine map from the channels of `format` to R', G', B' (0..255); `None` for grey.
+    pub(crate) fn rgb_from_stored(&self, format: PixelFormat) -> Option<RgbFromStored> {
+        if format == PixelFormat::Grey {
+            return None;
+        }
+        let rows: [([f64; 3], f64); 3] = [0, 1, 2].map(|i| self.channel_from_rgb(format, i));
+        let stored_from_rgb = Matrix3::from_fn(|i, j| rows[i].0[j]);
+        Some(RgbFromStored {
+            linear: stored_from_rgb.try_inverse()?,
+            black: Vector3::new(rows[0].1, rows[1].1, rows[2].1),
+        })
     }
 }
 
@@ -390,15 +408,7 @@ impl Picture {
 
     /// The affine map from stored channels to R', G', B' (0..255); `None` for grey.
     pub fn rgb_from_stored(&self) -> Option<RgbFromStored> {
-        if self.format == PixelFormat::Grey {
-            return None;
-        }
-        let rows: [([f64; 3], f64); 3] = [0, 1, 2].map(|i| self.colour.channel_from_rgb(self.format, i));
-        let stored_from_rgb = Matrix3::from_fn(|i, j| rows[i].0[j]);
-        Some(RgbFromStored {
-            linear: stored_from_rgb.try_inverse()?,
-            black: Vector3::new(rows[0].1, rows[1].1, rows[2].1),
-        })
+        self.colour.rgb_from_stored(self.format)
     }
 
     /// Samples in a row and rows of channel `i`.

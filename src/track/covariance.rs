@@ -34,9 +34,11 @@ impl Round<'_> {
         let compared = views.par_iter_mut().zip(blurs_px).zip(images).zip(colours).zip(&seen);
         let scatter = compared.map(|((((view, blur_px), image), colours), eliminated)| {
             let of_colours = -plain * eliminated.following();
+            let basis = view.comparison.patch().basis;
             let coder_variances = |pixel| {
                 let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
-                steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
+                let variance = |(steps, predicted): ([f64; 3], bool)| steps.map(|step| coder_variance(step, predicted));
+                steps.map_or([0.0; 3], |steps| basis.variances(picture, variance(steps)))
             };
             let scene = Scene::new(image, turns, colours, stretch, &model.encoding, *blur_px);
             let scattered = view.comparison.scatter(&scene, &plain, &of_colours, eliminated, coder_variances);

@@ -5,6 +5,7 @@ mod appearance;
 mod assign;
 #[cfg(test)]
 mod assign_tests;
+mod basis;
 mod blending;
 mod by_band;
 mod chunk;

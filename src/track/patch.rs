@@ -3,9 +3,13 @@
 //! Stored samples (Y, U, V at their own sampling, or R, G, B) are taken as they are: the model is evaluated at every
 //! pixel, in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as
 //! wide as the sampling. Only its derivatives are those at its own place, through a blur as wide as its neighbourhood.
+//!
+//! Where each pixel has its own chroma, but not at its own place, chroma is compared at that place, apart from luma. Of
+//! R, G and B that cannot be said: their Y, U and V are compared instead.
 
 use crate::source::{Picture, Plane};
 use crate::track::appearance::{BACKGROUND, CAP, Layout, segment_at};
+use crate::track::basis::{Basis, Channel};
 use crate::track::light::Encoding;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::Span;
@@ -27,14 +31,6 @@ pub(crate) struct Strip {
     /// Index of its span.
     pub span: usize,
     pub points: Range<usize>,
-}
-
-/// A stored channel: number, weights of R'G'B', constant.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Channel {
-    pub number: u8,
-    pub weights: [f32; 3],
-    pub constant: f32,
 }
 
 /// Points at which the same channels are stored: pixels with Y or R, G and B; samples of U and V. Ordered by strips,
@@ -78,6 +74,13 @@ impl Layer {
         take_strips(&mut self.strips, places.iter());
         self.channels.clear();
         self.spread_px2 = Vector2::zeros();
+    }
+
+    /// Takes the pixels as the samples of channels that show what is beside them.
+    fn take_beside(&mut self, chroma_offset_px: [f64; 2], of: &Selected<'_>) {
+        let Selected { pixels, middle, places, field, .. } = of;
+        self.take_pixels(places, field, &(middle - Vector2::from(chroma_offset_px)));
+        self.cells.clone_from(&pixels.cells);
     }
 
     /// Takes the samples of subsampled channels whose neighbourhoods are used, in the order of their central pixels,
@@ -135,14 +138,28 @@ impl Layer {
         for (values, plane) in self.stored.iter_mut().zip(planes) {
             values.clear();
             values.reserve(self.at.len());
-            for [column, row] in &self.at {
-                values.push(f32::from(*plane.data.get(row * plane.stride + column * plane.step)?));
+            for at in &self.at {
+                values.push(stored(plane, at)?);
             }
         }
         Some(())
     }
 
-    /// Whether each pixel has its own sample.
+    /// Takes channels that are sums of those stored, R, G and B.
+    fn take_sums(&mut self, channels: impl Iterator<Item = Channel>, rgb: &[Plane<'_>]) -> Option<()> {
+        refill(&mut self.channels, channels);
+        self.stored.resize_with(self.channels.len(), Vec::new);
+        for (values, Channel { weights, constant, .. }) in self.stored.iter_mut().zip(&self.channels) {
+            values.clear();
+            for at in &self.at {
+                let parts = weights.iter().zip(rgb).map(|(weight, plane)| Some(weight * stored(plane, at)?));
+                values.push(parts.sum::<Option<f32>>()? + constant);
+            }
+        }
+        Some(())
+    }
+
+    /// Whether each pixel has its own sample, here or beside it.
     pub(crate) fn is_whole(&self) -> bool {
         self.spread_px2 == Vector2::zeros()
     }
@@ -157,6 +174,11 @@ impl Layer {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
         starts.zip(&self.ends).map(|(start, end)| &self.taps[start as usize..*end as usize])
     }
+}
+
+/// A stored value; `None` where there is none.
+fn stored(plane: &Plane<'_>, [column, row]: &[usize; 2]) -> Option<f32> {
+    plane.data.get(row * plane.stride + column * plane.step).copied().map(f32::from)
 }
 
 /// Takes other elements into the same memory.
@@ -186,9 +208,10 @@ struct Selected<'a> {
 pub(crate) struct Patch {
     pub middle: Vector2<f64>,
     pub spans: Vec<Span>,
+    pub basis: Basis,
     /// All pixels; without channels if all are subsampled.
     pub pixels: Layer,
-    /// Samples of subsampled channels.
+    /// Samples of channels that are subsampled or lie beside the pixels.
     pub samples: Vec<Layer>,
     /// Cells of correlated errors, each the part of a square within one span, in their order: span and square.
     pub cells: Vec<(usize, usize)>,
@@ -253,7 +276,7 @@ fn neighbourhoods(
 }
 
 impl Patch {
-    /// The pixels, then the samples of subsampled channels.
+    /// The pixels, then the other samples.
     pub(crate) fn layers(&self) -> impl Iterator<Item = &Layer> {
         [&self.pixels].into_iter().chain(&self.samples)
     }
@@ -280,37 +303,42 @@ impl Patch {
         (self.middle, self.spans) = (middle, spans.list);
         self.pixels.take_pixels(&self.places.list, &self.field, &middle);
         self.divide();
-        self.colour_channels = if picture.format().is_yuv() { [1, 2] } else { [0, 2] };
-        let Self { pixels, samples, places, field, .. } = self;
-        let channels: Vec<usize> = (0..picture.format().channels()).collect();
-        let mut subsampled = 0;
+        // Whether the pixels' chroma is not at their place.
+        let beside = picture.format().has_chroma_per_pixel() && chroma_offset_px != [0.0; 2];
+        self.basis = Basis::of(picture, beside);
+        let Self { pixels, samples, places, field, basis, .. } = self;
+        self.colour_channels = if basis.format.is_yuv() { [1, 2] } else { [0, 2] };
+        let channels: Vec<usize> = (0..basis.format.channels()).collect();
+        let mut others = 0;
         // Channels with the same sampling form a layer.
-        let scale = |c: &usize| picture.plane(*c).map(|plane| plane.scale);
-        for alike in channels.chunk_by(|a, b| scale(a) == scale(b)) {
-            let planes = alike.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>();
-            let planes = planes.ok_or(NoFit::OutOfPicture)?;
-            let channel = |&number: &usize| {
-                let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), number);
-                Channel { number: number as u8, weights: weights.map(|w| w as f32), constant: constant as f32 }
-            };
-            let layer = if planes[0].scale == [1, 1] {
+        let sampling = |c: &usize| picture.plane(*c).map(|plane| (plane.scale, beside && *c > 0));
+        for alike in channels.chunk_by(|a, b| sampling(a) == sampling(b)) {
+            let planes = |channels: &[usize]| channels.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>();
+            let own = planes(alike).ok_or(NoFit::OutOfPicture)?;
+            let of_pixels = own[0].scale == [1, 1];
+            let layer = if of_pixels && !(beside && alike[0] > 0) {
                 &mut *pixels
             } else {
-                if subsampled == samples.len() {
+                if others == samples.len() {
                     samples.push(Layer::default());
                 }
-                let layer = &mut samples[subsampled];
-                subsampled += 1;
-                layer.take_samples(
-                    &planes[0],
-                    chroma_offset_px,
-                    &Selected { pixels, middle, places: &places.list, field, density },
-                );
+                let layer = &mut samples[others];
+                others += 1;
+                let selected = Selected { pixels, middle, places: &places.list, field, density };
+                match of_pixels {
+                    true => layer.take_beside(chroma_offset_px, &selected),
+                    false => layer.take_samples(&own[0], chroma_offset_px, &selected),
+                }
                 layer
             };
-            layer.take_channels(alike.iter().map(channel), &planes).ok_or(NoFit::OutOfPicture)?;
+            let taken = alike.iter().map(|number| Channel::of(basis, *number));
+            match basis.format == picture.format() {
+                true => layer.take_channels(taken, &own),
+                false => layer.take_sums(taken, &planes(&channels).ok_or(NoFit::OutOfPicture)?),
+            }
+            .ok_or(NoFit::OutOfPicture)?;
         }
-        samples.truncate(subsampled);
+        samples.truncate(others);
         Ok(())
     }
 
@@ -340,13 +368,7 @@ impl Patch {
     }
 
     /// Initial colours: means over pixels well inside each segment, and well outside the tube.
-    pub(crate) fn colours(
-        &self,
-        picture: &Picture,
-        image: &TubeImage,
-        layout: &Layout,
-        encoding: &Encoding,
-    ) -> Option<Vec<f64>> {
+    pub(crate) fn colours(&self, image: &TubeImage, layout: &Layout, encoding: &Encoding) -> Option<Vec<f64>> {
         let segments = layout.segments();
         let mut sums = vec![[(0.0, 0_usize); 3]; segments + 1];
         for layer in self.layers() {
@@ -380,7 +402,7 @@ impl Patch {
                 }
             }
         }
-        let rgb_from_stored = picture.rgb_from_stored()?;
+        let rgb_from_stored = self.basis.colour.rgb_from_stored(self.basis.format)?;
         let mut colours = vec![0.0; layout.colours()];
         let mean = |sum: &[(f64, usize); 3]| -> Option<Vector3<f64>> {
             let stored = Vector3::from_fn(|c, _| sum[c].0 / sum[c].1 as f64);

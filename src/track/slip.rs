@@ -12,7 +12,12 @@
 //!
 //! A slip common to all bands of all views is not the coder's: the chroma samples are not where the recording says, or
 //! not where they were when the rig was taught. That mean is removed from the following frames.
+//!
+//! Pictures that store colour for each pixel are no different: most were made from ones with subsampled chroma, and a
+//! program that copies samples, or mistakes their siting, moves chroma by up to a pixel. In R, G and B a slip changes
+//! each channel by that of its chroma, R − Y; t is the change by that part alone.
 
+use crate::source::PixelFormat;
 use crate::track::appearance::Layout;
 use crate::track::normal::{ROW, Row, Seen as Sight, add_row, shifted};
 use crate::track::padded::{Padded, weighted};
@@ -56,6 +61,9 @@ pub(crate) struct Seen {
 const OWN_SD_PX: f64 = 0.2;
 /// Prior standard deviation of the mean, pixels.
 const PRIOR_SD_PX: f64 = 0.3;
+/// Where each pixel has its own chroma, what lies apart by less is fitted as if it did not: such pictures are compared
+/// in the channels that they store.
+const LEAST_PX: f64 = 0.05;
 /// Largest possible error of the siting, pixels.
 const MAX_PX: f64 = 1.0;
 
@@ -84,6 +92,12 @@ impl Seen {
         mean.map(|px| px.clamp(-MAX_PX, MAX_PX))
     }
 
+    /// That which pictures of a format are fitted with: where each pixel has its own chroma, little is none.
+    pub(crate) fn mean_px_in(&self, format: PixelFormat) -> Vector2<f64> {
+        let mean_px = self.mean_px();
+        if format.has_chroma_per_pixel() && mean_px.norm() < LEAST_PX { Vector2::zeros() } else { mean_px }
+    }
+
     /// The same with less weight on its squares; the mean remains that of the whole run.
     pub(crate) fn faded(&self, by: f64) -> Self {
         Self { squares_px2: self.squares_px2 * by, count: self.count * by, ..*self }
@@ -101,18 +115,18 @@ impl Slips {
         }
     }
 
-    /// Adds a chroma sample of a span that is nearest to `ring`.
+    /// Adds a sample of a span that is nearest to `ring`; `slipping` are the derivatives of its chroma alone.
     #[inline(always)]
     pub(crate) fn add(
         &mut self,
         (span, ring): (usize, usize),
-        (row, sight): (&Row, Sight),
+        (row, slipping, sight): (&Row, &Row, Sight),
         residual: f32,
         weight: f32,
     ) {
         let Some(band) = self.bands.get_mut(ring / 2) else { return };
         let (_, rows) = self.waiting[span].get_or_insert((ring / 2, [[0.0; ROW]; 2]));
-        for ((slip, sum), by) in band.iter_mut().zip(rows).zip(shifted(row, sight)) {
+        for ((slip, sum), by) in band.iter_mut().zip(rows).zip(shifted(slipping, sight)) {
             slip.pull += f64::from(weight * residual * by);
             slip.information += f64::from(weight * by * by);
             add_row(sum, row, sight, weight * by);
@@ -146,6 +160,29 @@ impl Slips {
                 });
                 self.covariance += slip.response * slip.response.transpose();
                 self.response += slip.response * direction.transpose();
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn little_is_none_where_each_pixel_has_its_own_chroma_and_not_elsewhere() {
+        let subsampled = PixelFormat::Yuv { chroma_log2: [1, 1] };
+        for (slip_px, of_pixels) in [(0.5 * LEAST_PX, false), (2.0 * LEAST_PX, true)] {
+            let information = Matrix2::identity() * 1e6;
+            let slip_px = Vector2::new(-slip_px, 0.0);
+            let seen = Seen { information, pull: information * slip_px, ..Seen::default() };
+            for (format, expected) in [
+                (subsampled, true),
+                (PixelFormat::RgbPlanar, of_pixels),
+                (PixelFormat::Yuv { chroma_log2: [0, 0] }, of_pixels),
+            ] {
+                let expected_px = if expected { slip_px } else { Vector2::zeros() };
+                assert!((seen.mean_px_in(format) - expected_px).norm() < 1e-3, "{format:?}, {slip_px}");
             }
         }
     }
