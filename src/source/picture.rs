@@ -284,19 +284,6 @@ impl Colour {
             _ => difference(0, kr),
         }
     }
-
-    /// The affine map from the channels of `format` to R', G', B' (0..255); `None` for grey.
-    pub(crate) fn rgb_from_stored(&self, format: PixelFormat) -> Option<RgbFromStored> {
-        if format == PixelFormat::Grey {
-            return None;
-        }
-        let rows: [([f64; 3], f64); 3] = [0, 1, 2].map(|i| self.channel_from_rgb(format, i));
-        let stored_from_rgb = Matrix3::from_fn(|i, j| rows[i].0[j]);
-        Some(RgbFromStored {
-            linear: stored_from_rgb.try_inverse()?,
-            black: Vector3::new(rows[0].1, rows[1].1, rows[2].1),
-        })
-    }
 }
 
 impl Picture {
@@ -408,7 +395,15 @@ impl Picture {
 
     /// The affine map from stored channels to R', G', B' (0..255); `None` for grey.
     pub fn rgb_from_stored(&self) -> Option<RgbFromStored> {
-        self.colour.rgb_from_stored(self.format)
+        if self.format == PixelFormat::Grey {
+            return None;
+        }
+        let rows: [([f64; 3], f64); 3] = [0, 1, 2].map(|i| self.colour.channel_from_rgb(self.format, i));
+        let stored_from_rgb = Matrix3::from_fn(|i, j| rows[i].0[j]);
+        Some(RgbFromStored {
+            linear: stored_from_rgb.try_inverse()?,
+            black: Vector3::new(rows[0].1, rows[1].1, rows[2].1),
+        })
     }
 
     /// Samples in a row and rows of channel `i`.

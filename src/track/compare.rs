@@ -4,7 +4,7 @@
 //! chunk, where they are summed, and not kept.
 
 use crate::source::Picture;
-use crate::track::basis::Channel;
+use crate::track::channel::Channel;
 use crate::track::chunk::{CHUNK, Chunk, Light, Piece, Rows, Scene};
 use crate::track::equations::Eliminated;
 use crate::track::fields::RowShift;
@@ -314,17 +314,13 @@ impl Comparison {
         let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
         for (i, (layer, bunches)) in patch.layers().zip(bunches).enumerate() {
-            // Subsampled channels are predicted at the pixels, which come first.
-            let all = || patch.layers().enumerate().flat_map(|(j, of)| of.channels.iter().map(move |c| (j, of, c)));
-            let here = |j: usize, of: &Layer| if of.is_whole() { i == j } else { i == 0 };
+            // All channels are predicted at the pixels, which come first.
+            let at_pixels = || patch.layers().flat_map(|layer| &layer.channels).filter(|_| i == 0);
             for bunches in bunches.by_span_mut() {
                 let piece = scene.piece(&spans[bunches[0].span], middle, &layer.spread_px2);
                 for Bunch { points, chunk, .. } in bunches {
                     chunk.evaluate(&piece, &light);
-                    for ((j, of, channel), compared) in all().zip(&mut *channels) {
-                        if !here(j, of) {
-                            continue;
-                        }
+                    for (channel, compared) in at_pixels().zip(&mut *channels) {
                         let values = chunk.values(&channel.weights);
                         compared.predicted[points.clone()].copy_from_slice(&values[..points.len()]);
                     }
@@ -392,10 +388,10 @@ impl Comparison {
         let Patch { middle, spans, colour_channels, .. } = &*patch;
         let light = scene.light();
         let mut channels = &channels[..];
-        for (i, (layer, bunches)) in patch.layers().zip(bunches).enumerate() {
+        for (layer, bunches) in patch.layers().zip(bunches) {
             let (own, others) = channels.split_at(layer.channels.len());
             channels = others;
-            let (apart, cells, y) = (i > 0, &layer.cells, &layer.y);
+            let (apart, cells, y) = (!layer.is_whole(), &layer.cells, &layer.y);
             let middle_y = middle.y as f32;
             for bunches in bunches.by_span() {
                 let place = &spans[bunches[0].span];

@@ -34,11 +34,9 @@ impl Round<'_> {
         let compared = views.par_iter_mut().zip(blurs_px).zip(images).zip(colours).zip(&seen);
         let scatter = compared.map(|((((view, blur_px), image), colours), eliminated)| {
             let of_colours = -plain * eliminated.following();
-            let basis = view.comparison.patch().basis;
             let coder_variances = |pixel| {
                 let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
-                let variance = |(steps, predicted): ([f64; 3], bool)| steps.map(|step| coder_variance(step, predicted));
-                steps.map_or([0.0; 3], |steps| basis.variances(picture, variance(steps)))
+                steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
             };
             let scene = Scene::new(image, turns, colours, stretch, &model.encoding, *blur_px);
             let scattered = view.comparison.scatter(&scene, &plain, &of_colours, eliminated, coder_variances);
@@ -76,6 +74,8 @@ impl Round<'_> {
             let Scattered { slips, rows, colours: colour_shifts, mut widths, coded, .. } = scattered;
             // Their errors are correlated as those of the shape.
             widths.iter_mut().for_each(|width| width.sd_px *= (inflation + coded).sqrt());
+            // What a coder does to subsampled chroma is both slip and correlated.
+            let slip = slips.seen(if picture.format().has_chroma_per_pixel() { inflation } else { 1.0 });
             ViewFit {
                 image,
                 look,
@@ -83,7 +83,7 @@ impl Round<'_> {
                 residual_covariance_px2,
                 rms,
                 misfit: misfit(std::slice::from_ref(normal)),
-                slip: slips.seen,
+                slip,
                 slip_response: slips.response,
                 rows,
                 colour_shifts,

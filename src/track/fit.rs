@@ -440,7 +440,9 @@ mod tests {
                 fit.views.iter().for_each(|view| slip.add(&view.slip));
                 let error_m = fit.shape.centre - tube.centre;
                 let moved = fit.moved_by_slip(&slip.mean_px());
-                let widened = fit.covariance + fit.slip_covariance * slip.variance_px2() + moved * moved.transpose();
+                let widened = fit.covariance
+                    + fit.slip_covariance * slip.variance_px2(&slip.mean_px())
+                    + moved * moved.transpose();
                 let sd_m = [fit.covariance, widened].map(|all| (all.fixed_view::<3, 3>(0, 0).trace() / 3.0).sqrt());
                 (error_m.norm(), slip.mean_px(), sd_m)
             };

@@ -93,8 +93,9 @@ impl Judge {
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
             fit.views.iter().for_each(|view| self.slip.add(&view.slip.beyond(&self.mean_slip_px)));
         }
-        let variance_px2 = self.slip.variance_px2();
-        let left_px = self.slip.mean_px() - self.mean_slip_px;
+        let mean_px = self.slip.mean_px();
+        let variance_px2 = self.slip.variance_px2(&mean_px);
+        let left_px = mean_px - self.mean_slip_px;
         self.mean_slip_px = self.slip.mean_px_in(format);
         let residuals: Vec<_> = fitted.iter().map(|fitted| self.residuals(encoding, fitted)).collect();
         let common = self.usual.common(residuals.iter().flatten().map(|one| (one.alike, one.view, one.rms)));
@@ -108,11 +109,9 @@ impl Judge {
         for (Fitted { group, views, result }, residuals) in fitted.iter_mut().zip(&residuals) {
             let Ok(fit) = result else { continue };
             fit.covariance += fit.slip_covariance * variance_px2;
-            // What is common to all bands and was not taken out. (Of subsampled chroma little is left.)
-            if format.has_chroma_per_pixel() {
-                let moved = fit.moved_by_slip(&left_px);
-                fit.covariance += moved * moved.transpose();
-            }
+            // What is common to all bands and was not taken out.
+            let moved = fit.moved_by_slip(&left_px);
+            fit.covariance += moved * moved.transpose();
             // Views that lastingly disagree do not show one moment, or not what the rig says; chance is 1.
             let mean = &mut self.disagreement[group.reference];
             let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);

@@ -5,9 +5,9 @@ mod appearance;
 mod assign;
 #[cfg(test)]
 mod assign_tests;
-mod basis;
 mod blending;
 mod by_band;
+mod channel;
 mod chunk;
 mod coil;
 mod compare;

@@ -3,13 +3,11 @@
 //! Stored samples (Y, U, V at their own sampling, or R, G, B) are taken as they are: the model is evaluated at every
 //! pixel, in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as
 //! wide as the sampling. Only its derivatives are those at its own place, through a blur as wide as its neighbourhood.
-//!
-//! Where each pixel has its own chroma, but not at its own place, chroma is compared at that place, apart from luma. Of
-//! R, G and B that cannot be said: their Y, U and V are compared instead.
+//! Where each pixel has its own chroma, but not at its own place, it is taken from there (channel.rs).
 
 use crate::source::{Picture, Plane};
 use crate::track::appearance::{BACKGROUND, CAP, Layout, segment_at};
-use crate::track::basis::{Basis, Channel};
+use crate::track::channel::{Beside, Channel};
 use crate::track::light::Encoding;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::Span;
@@ -76,13 +74,6 @@ impl Layer {
         self.spread_px2 = Vector2::zeros();
     }
 
-    /// Takes the pixels as the samples of channels that show what is beside them.
-    fn take_beside(&mut self, chroma_offset_px: [f64; 2], of: &Selected<'_>) {
-        let Selected { pixels, middle, places, field, .. } = of;
-        self.take_pixels(places, field, &(middle - Vector2::from(chroma_offset_px)));
-        self.cells.clone_from(&pixels.cells);
-    }
-
     /// Takes the samples of subsampled channels whose neighbourhoods are used, in the order of their central pixels,
     /// still without channels.
     fn take_samples(&mut self, plane: &Plane<'_>, chroma_offset_px: [f64; 2], of: &Selected<'_>) {
@@ -138,28 +129,22 @@ impl Layer {
         for (values, plane) in self.stored.iter_mut().zip(planes) {
             values.clear();
             values.reserve(self.at.len());
-            for at in &self.at {
-                values.push(stored(plane, at)?);
+            for [column, row] in &self.at {
+                values.push(f32::from(*plane.data.get(row * plane.stride + column * plane.step)?));
             }
         }
         Some(())
     }
 
-    /// Takes channels that are sums of those stored, R, G and B.
-    fn take_sums(&mut self, channels: impl Iterator<Item = Channel>, rgb: &[Plane<'_>]) -> Option<()> {
-        refill(&mut self.channels, channels);
-        self.stored.resize_with(self.channels.len(), Vec::new);
-        for (values, Channel { weights, constant, .. }) in self.stored.iter_mut().zip(&self.channels) {
-            values.clear();
-            for at in &self.at {
-                let parts = weights.iter().zip(rgb).map(|(weight, plane)| Some(weight * stored(plane, at)?));
-                values.push(parts.sum::<Option<f32>>()? + constant);
-            }
+    /// Puts chroma that lies beside its pixels right, in the values of all channels.
+    fn put_right(&mut self, beside: &Beside, planes: &[Plane<'_>; 3]) {
+        for (i, at) in self.at.iter().enumerate() {
+            let changes = beside.changes(planes, *at);
+            self.stored.iter_mut().zip(changes).for_each(|(values, change)| values[i] += change);
         }
-        Some(())
     }
 
-    /// Whether each pixel has its own sample, here or beside it.
+    /// Whether each pixel has its own sample.
     pub(crate) fn is_whole(&self) -> bool {
         self.spread_px2 == Vector2::zeros()
     }
@@ -174,11 +159,6 @@ impl Layer {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
         starts.zip(&self.ends).map(|(start, end)| &self.taps[start as usize..*end as usize])
     }
-}
-
-/// A stored value; `None` where there is none.
-fn stored(plane: &Plane<'_>, [column, row]: &[usize; 2]) -> Option<f32> {
-    plane.data.get(row * plane.stride + column * plane.step).copied().map(f32::from)
 }
 
 /// Takes other elements into the same memory.
@@ -208,10 +188,9 @@ struct Selected<'a> {
 pub(crate) struct Patch {
     pub middle: Vector2<f64>,
     pub spans: Vec<Span>,
-    pub basis: Basis,
     /// All pixels; without channels if all are subsampled.
     pub pixels: Layer,
-    /// Samples of channels that are subsampled or lie beside the pixels.
+    /// Samples of subsampled channels.
     pub samples: Vec<Layer>,
     /// Cells of correlated errors, each the part of a square within one span, in their order: span and square.
     pub cells: Vec<(usize, usize)>,
@@ -276,7 +255,7 @@ fn neighbourhoods(
 }
 
 impl Patch {
-    /// The pixels, then the other samples.
+    /// The pixels, then the samples of subsampled channels.
     pub(crate) fn layers(&self) -> impl Iterator<Item = &Layer> {
         [&self.pixels].into_iter().chain(&self.samples)
     }
@@ -296,49 +275,47 @@ impl Patch {
         let Shown { image, layout, range_m } = *shown;
         let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
         let middle = self.field.surround(image, range, picture.size_px(), margin_px).ok_or(NoFit::OutOfPicture)?;
-        picture.declare_read(self.field.window()).map_err(|_| NoFit::NotRecorded)?;
+        let beside = Beside::of(picture, chroma_offset_px);
+        let reach_px = beside.as_ref().map_or(0, Beside::reach_px);
+        let window = self.field.window().grown(reach_px, 1).clipped(picture.size_px());
+        picture.declare_read(window).map_err(|_| NoFit::NotRecorded)?;
         let spans = Spans::new(image, layout);
         spans.find(&self.field, range, density, &mut self.places);
         self.field.number(&self.places.list);
         (self.middle, self.spans) = (middle, spans.list);
         self.pixels.take_pixels(&self.places.list, &self.field, &middle);
         self.divide();
-        // Whether the pixels' chroma is not at their place.
-        let beside = picture.format().has_chroma_per_pixel() && chroma_offset_px != [0.0; 2];
-        self.basis = Basis::of(picture, beside);
-        let Self { pixels, samples, places, field, basis, .. } = self;
-        self.colour_channels = if basis.format.is_yuv() { [1, 2] } else { [0, 2] };
-        let channels: Vec<usize> = (0..basis.format.channels()).collect();
-        let mut others = 0;
+        self.colour_channels = if picture.format().is_yuv() { [1, 2] } else { [0, 2] };
+        let Self { pixels, samples, places, field, .. } = self;
+        let channels: Vec<usize> = (0..picture.format().channels()).collect();
+        let mut subsampled = 0;
         // Channels with the same sampling form a layer.
-        let sampling = |c: &usize| picture.plane(*c).map(|plane| (plane.scale, beside && *c > 0));
-        for alike in channels.chunk_by(|a, b| sampling(a) == sampling(b)) {
-            let planes = |channels: &[usize]| channels.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>();
-            let own = planes(alike).ok_or(NoFit::OutOfPicture)?;
-            let of_pixels = own[0].scale == [1, 1];
-            let layer = if of_pixels && !(beside && alike[0] > 0) {
+        let scale = |c: &usize| picture.plane(*c).map(|plane| plane.scale);
+        for alike in channels.chunk_by(|a, b| scale(a) == scale(b)) {
+            let planes = alike.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>();
+            let planes = planes.ok_or(NoFit::OutOfPicture)?;
+            let layer = if planes[0].scale == [1, 1] {
                 &mut *pixels
             } else {
-                if others == samples.len() {
+                if subsampled == samples.len() {
                     samples.push(Layer::default());
                 }
-                let layer = &mut samples[others];
-                others += 1;
-                let selected = Selected { pixels, middle, places: &places.list, field, density };
-                match of_pixels {
-                    true => layer.take_beside(chroma_offset_px, &selected),
-                    false => layer.take_samples(&own[0], chroma_offset_px, &selected),
-                }
+                let layer = &mut samples[subsampled];
+                subsampled += 1;
+                layer.take_samples(
+                    &planes[0],
+                    chroma_offset_px,
+                    &Selected { pixels, middle, places: &places.list, field, density },
+                );
                 layer
             };
-            let taken = alike.iter().map(|number| Channel::of(basis, *number));
-            match basis.format == picture.format() {
-                true => layer.take_channels(taken, &own),
-                false => layer.take_sums(taken, &planes(&channels).ok_or(NoFit::OutOfPicture)?),
+            let taken = alike.iter().map(|number| Channel::of(picture, *number));
+            layer.take_channels(taken, &planes).ok_or(NoFit::OutOfPicture)?;
+            if let (Some(beside), Ok(planes)) = (&beside, planes.as_slice().try_into()) {
+                layer.put_right(beside, planes);
             }
-            .ok_or(NoFit::OutOfPicture)?;
         }
-        samples.truncate(others);
+        samples.truncate(subsampled);
         Ok(())
     }
 
@@ -368,7 +345,13 @@ impl Patch {
     }
 
     /// Initial colours: means over pixels well inside each segment, and well outside the tube.
-    pub(crate) fn colours(&self, image: &TubeImage, layout: &Layout, encoding: &Encoding) -> Option<Vec<f64>> {
+    pub(crate) fn colours(
+        &self,
+        picture: &Picture,
+        image: &TubeImage,
+        layout: &Layout,
+        encoding: &Encoding,
+    ) -> Option<Vec<f64>> {
         let segments = layout.segments();
         let mut sums = vec![[(0.0, 0_usize); 3]; segments + 1];
         for layer in self.layers() {
@@ -402,7 +385,7 @@ impl Patch {
                 }
             }
         }
-        let rgb_from_stored = self.basis.colour.rgb_from_stored(self.basis.format)?;
+        let rgb_from_stored = picture.rgb_from_stored()?;
         let mut colours = vec![0.0; layout.colours()];
         let mean = |sum: &[(f64, usize); 3]| -> Option<Vector3<f64>> {
             let stored = Vector3::from_fn(|c, _| sum[c].0 / sum[c].1 as f64);

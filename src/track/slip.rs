@@ -10,8 +10,9 @@
 //!
 //! s² = Σ (δ'² − 1 / Σ w t²) / Σ (1 − h)², and s² Σ v vᵀ is what it adds to the covariance.
 //!
-//! A slip common to all bands of all views is not the coder's: the chroma samples are not where the recording says, or
-//! not where they were when the rig was taught. That mean is removed from the following frames.
+//! A slip m common to all bands of all views is not the coder's: the chroma samples are not where the recording says, or
+//! not where they were when the rig was taught. That mean is removed from the following frames, and from the slips of
+//! which s² is formed: δ' − (1 − h) m. What a frame was fitted without moves all its bands alike.
 //!
 //! Pictures that store colour for each pixel are no different: most were made from ones with subsampled chroma, and a
 //! program that copies samples, or mistakes their siting, moves chroma by up to a pixel. In R, G and B a slip changes
@@ -30,7 +31,9 @@ pub(crate) struct Slips {
     bands: Vec<[Slip; 2]>,
     /// For each span, sums not mapped yet: the band, and the rows in both directions.
     waiting: Vec<Option<(usize, [[f32; ROW]; 2])>>,
-    pub seen: Seen,
+    seen: Seen,
+    /// Σ 1 / Σ w t², the variance of the noise that its squares are without.
+    noise_px2: f64,
     /// Covariance of the shape per slip variance of one square pixel, if each band slips by itself.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
     /// Response of the shape if all bands slip alike, per pixel to the right and down in the picture.
@@ -50,8 +53,10 @@ struct Slip {
 /// Squares of observed slips, and their effective number.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Seen {
+    /// Σ δ'² less their noise, Σ (1 − h) δ' and Σ (1 − h)², in the picture's axes.
     pub squares_px2: f64,
-    pub count: f64,
+    pub sum_px: Vector2<f64>,
+    pub count: Matrix2<f64>,
     /// Normal equations of the mean slip in the picture's axes, 1/px² and 1/px.
     pub information: Matrix2<f64>,
     pub pull: Vector2<f64>,
@@ -61,20 +66,23 @@ pub(crate) struct Seen {
 const OWN_SD_PX: f64 = 0.2;
 /// Prior standard deviation of the mean, pixels.
 const PRIOR_SD_PX: f64 = 0.3;
-/// Where each pixel has its own chroma, what lies apart by less is fitted as if it did not: such pictures are compared
-/// in the channels that they store.
+/// Where each pixel has its own chroma, what lies apart by less is fitted as if it did not: most such pictures are as
+/// the sensor gave them, and the mean of what their bands show is the image model's.
 const LEAST_PX: f64 = 0.05;
 /// Largest possible error of the siting, pixels.
 const MAX_PX: f64 = 1.0;
 
 impl Seen {
-    /// Variance of a slip, px².
-    pub(crate) fn variance_px2(&self) -> f64 {
-        if self.count > 0.0 { (self.squares_px2 / self.count).max(0.0) } else { 0.0 }
+    /// Variance of a slip about this mean, px².
+    pub(crate) fn variance_px2(&self, mean_px: &Vector2<f64>) -> f64 {
+        let squares_px2 = self.squares_px2 + mean_px.dot(&(self.count * mean_px - self.sum_px * 2.0));
+        let count = self.count.trace();
+        if count > 0.0 { (squares_px2 / count).max(0.0) } else { 0.0 }
     }
 
     pub(crate) fn add(&mut self, other: &Self) {
         self.squares_px2 += other.squares_px2;
+        self.sum_px += other.sum_px;
         self.count += other.count;
         self.information += other.information;
         self.pull += other.pull;
@@ -82,7 +90,13 @@ impl Seen {
 
     /// The same, measured with an offset that already contains this much of the slip.
     pub(crate) fn beyond(&self, offset_px: &Vector2<f64>) -> Self {
-        Self { pull: self.pull + self.information * offset_px, ..*self }
+        let of_count = self.count * offset_px;
+        Self {
+            squares_px2: self.squares_px2 + offset_px.dot(&(self.sum_px * 2.0 + of_count)),
+            sum_px: self.sum_px + of_count,
+            pull: self.pull + self.information * offset_px,
+            ..*self
+        }
     }
 
     /// The mean slip, pixels.
@@ -100,7 +114,7 @@ impl Seen {
 
     /// The same with less weight on its squares; the mean remains that of the whole run.
     pub(crate) fn faded(&self, by: f64) -> Self {
-        Self { squares_px2: self.squares_px2 * by, count: self.count * by, ..*self }
+        Self { squares_px2: self.squares_px2 * by, sum_px: self.sum_px * by, count: self.count * by, ..*self }
     }
 }
 
@@ -110,9 +124,15 @@ impl Slips {
             bands: vec![<[Slip; 2]>::default(); layout.bands()],
             waiting: vec![None; spans],
             seen: Seen::default(),
+            noise_px2: 0.0,
             covariance: SMatrix::zeros(),
             response: SMatrix::zeros(),
         }
+    }
+
+    /// What was seen, with noise of so many times the variance of its samples.
+    pub(crate) fn seen(&self, noise: f64) -> Seen {
+        Seen { squares_px2: self.seen.squares_px2 - (noise - 1.0) * self.noise_px2, ..self.seen }
     }
 
     /// Adds a sample of a span that is nearest to `ring`; `slipping` are the derivatives of its chroma alone.
@@ -151,13 +171,16 @@ impl Slips {
                 }
                 let left = 1.0 - moves.dot(&slip.response);
                 let seen = slip.pull / slip.information;
+                let both = direction * direction.transpose();
                 let weight = 1.0 / (1.0 / (slip.information * left * left) + OWN_SD_PX.powi(2));
                 self.seen.add(&Seen {
                     squares_px2: seen * seen - 1.0 / slip.information,
-                    count: left * left,
-                    information: direction * direction.transpose() * weight,
+                    sum_px: direction * (left * seen),
+                    count: both * (left * left),
+                    information: both * weight,
                     pull: direction * (weight * seen / left),
                 });
+                self.noise_px2 += 1.0 / slip.information;
                 self.covariance += slip.response * slip.response.transpose();
                 self.response += slip.response * direction.transpose();
             }
@@ -168,6 +191,40 @@ impl Slips {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Bands of both directions that slip by this much each, seen with half of it left.
+    fn slipping(slips_px: &[Vector2<f64>]) -> Seen {
+        let mut seen = Seen::default();
+        for (slip_px, direction) in
+            slips_px.iter().flat_map(|slip_px| [(slip_px, Vector2::x()), (slip_px, Vector2::y())])
+        {
+            let (left, both) = (0.5, direction * direction.transpose());
+            let shown = left * slip_px.dot(&direction);
+            seen.add(&Seen {
+                squares_px2: shown * shown,
+                sum_px: direction * (left * shown),
+                count: both * (left * left),
+                information: both * 1e4,
+                pull: direction * (1e4 * shown / left),
+            });
+        }
+        seen
+    }
+
+    #[test]
+    fn slips_scatter_about_their_mean_and_an_offset_changes_nothing() {
+        let mean_px = Vector2::new(0.6, -0.3);
+        let own_px = [Vector2::new(0.1, 0.1), Vector2::new(-0.1, -0.1)];
+        let seen = slipping(&own_px.map(|own_px| mean_px + own_px));
+        assert!((seen.mean_px() - mean_px).norm() < 1e-3);
+        assert!((seen.variance_px2(&mean_px) - 0.01).abs() < 1e-9, "{}", seen.variance_px2(&mean_px));
+        assert!(seen.variance_px2(&Vector2::zeros()) > 0.2);
+        // The same, fitted where most of it is taken out.
+        let offset_px = Vector2::new(0.5, -0.2);
+        let rest = slipping(&own_px.map(|own_px| mean_px - offset_px + own_px)).beyond(&offset_px);
+        assert!((rest.mean_px() - mean_px).norm() < 1e-3);
+        assert!((rest.variance_px2(&mean_px) - 0.01).abs() < 1e-9, "{}", rest.variance_px2(&mean_px));
+    }
 
     #[test]
     fn little_is_none_where_each_pixel_has_its_own_chroma_and_not_elsewhere() {

@@ -79,9 +79,9 @@ impl View {
         if picture.quantisation().is_some_and(|q| coded_variance(q, patch) > COARSEST) {
             return Err(NoFit::TooCoarse);
         }
-        let looked_up = || patch.colours(image, &stretch.layout, &model.encoding);
+        let looked_up = || patch.colours(picture, image, &stretch.layout, &model.encoding);
         let expected_colours = known_colours.or_else(looked_up).ok_or(NoFit::OutOfPicture)?;
-        let noise = start_noise(picture, patch);
+        let noise = start_noise(picture);
         Ok(Self { comparison, expected_colours, noise, weighing, compared: false })
     }
 
@@ -91,7 +91,7 @@ impl View {
         self.comparison.render(scene);
         let is_first = !std::mem::replace(&mut self.compared, true);
         if is_first && self.weighing == Weighing::Own {
-            self.noise = noise_of(&self.comparison.squares(&self.noise), picture, self.comparison.patch());
+            self.noise = noise_of(&self.comparison.squares(&self.noise), picture);
         }
         let colours = scene.colours;
         let mut normal = match before {
@@ -138,10 +138,10 @@ fn prior(colour: usize) -> (Option<f64>, f64) {
 /// autocorrelation are 4 to 6 for 4:2:0, 1.5 for luma. Chroma of each pixel has so little noise that errors of the
 /// image model exceed it: weighted by its noise it turned the tangent by 0.14°, with this by 0.11°, with all bands as
 /// accurate.
-fn correlated(picture: &Picture, patch: &Patch, channel: usize) -> f64 {
+fn correlated(picture: &Picture, channel: usize) -> f64 {
     const CHROMA: f64 = 2.0;
     match picture.plane(channel) {
-        Some(plane) if channel > 0 && patch.basis.format.is_yuv() => {
+        Some(plane) if channel > 0 && picture.format().is_yuv() => {
             f64::from(plane.scale[0] * plane.scale[1]).sqrt().max(CHROMA)
         }
         _ => 1.0,
@@ -149,17 +149,17 @@ fn correlated(picture: &Picture, patch: &Patch, channel: usize) -> f64 {
 }
 
 /// Noise assumed initially.
-fn start_noise(picture: &Picture, patch: &Patch) -> Noise {
-    [0, 1, 2].map(|c| [START_NOISE * correlated(picture, patch, c).sqrt(); 2])
+fn start_noise(picture: &Picture) -> Noise {
+    [0, 1, 2].map(|c| [START_NOISE * correlated(picture, c).sqrt(); 2])
 }
 
 /// Noise of the residuals; the initial one where there are none.
-fn noise_of(squares: &Squares, picture: &Picture, patch: &Patch) -> Noise {
-    let mut noise = start_noise(picture, patch);
+fn noise_of(squares: &Squares, picture: &Picture) -> Noise {
+    let mut noise = start_noise(picture);
     for (c, (sigma, squares)) in noise.iter_mut().zip(squares).enumerate() {
         for (sigma, (sum, count)) in sigma.iter_mut().zip(squares) {
             if *count > 0 {
-                *sigma = (sum / *count as f64).sqrt().max(MIN_NOISE) * correlated(picture, patch, c);
+                *sigma = (sum / *count as f64).sqrt().max(MIN_NOISE) * correlated(picture, c);
             }
         }
     }
