@@ -146,7 +146,7 @@ mod tests {
     fn chroma_is_taken_from_where_it_lies_and_luma_stays() {
         for format in [PixelFormat::RgbPlanar, YUV] {
             let expected = picture(format, [0.0; 2]);
-            for offset_px in [[-1.0, 0.0], [0.5, 0.0], [0.3, -0.7], [-1.6, 0.45]] {
+            for offset_px in [[-1.0, 0.0], [0.5, 0.0], [0.3, 0.7], [-1.6, 0.45]] {
                 let beside = picture(format, offset_px);
                 let planes = [0, 1, 2].map(|c| beside.plane(c).unwrap());
                 let right = Beside::of(&beside, offset_px).unwrap();
