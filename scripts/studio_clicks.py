@@ -40,7 +40,7 @@ def rig(scale):
                 return f"width_px = {width}"
             case "height_px":
                 return f"height_px = {height}"
-            case "focal_px" | "blur_px" | "chroma_offset_px":
+            case "focal_px" | "blur_px" | "chroma_offset_px" | "colour_offset_px":
                 return f"{key}={number(lambda v: scale * v)}"
             case "principal_point_px" | "region_px":
                 return f"{key}={number(place)}"

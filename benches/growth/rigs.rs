@@ -136,6 +136,7 @@ fn rig(setup: &Setup) -> Result<Rig, Box<dyn Error + Send + Sync>> {
             lens,
             blur_px: Some(0.55),
             chroma_offset_px: [0.0; 2],
+            colour_offset_px: [0.0; 2],
             exposure_s: None,
             readout_s: None,
             gamma: None,

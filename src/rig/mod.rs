@@ -162,6 +162,9 @@ pub struct Camera {
     /// Offset of the chroma samples from where the stream's siting puts them, pixels (right, down): recorders often tag
     /// one siting and sample at another. Zero unless measured.
     pub chroma_offset_px: [f64; 2],
+    /// The same in pictures that store colours for each pixel: of chroma from luma, where they were made from others
+    /// that had it elsewhere. Zero unless measured.
+    pub colour_offset_px: [f64; 2],
     /// Exposure time of a picture, seconds, once known: motion during it blurs the picture.
     pub exposure_s: Option<f64>,
     /// Of a rolling shutter: how much later the row below the last one would be exposed than the first, seconds;

@@ -184,12 +184,17 @@ impl Check<'_> {
         if let Some(blur) = raw.blur_px {
             self.positive("camera.blur_px", blur)?;
         }
-        let chroma_offset_px = raw.chroma_offset_px.unwrap_or_default();
-        self.finite("camera.chroma_offset_px", &chroma_offset_px)?;
-        if let Some(offset) = chroma_offset_px.iter().find(|v| v.abs() > LARGEST_CHROMA_OFFSET_PX) {
-            let expected = format!("{LARGEST_CHROMA_OFFSET_PX} px or less either way");
-            return Err(self.value("camera.chroma_offset_px", offset, expected));
-        }
+        let offset_px = |key: &str, offset_px: Option<[f64; 2]>| {
+            let offset_px = offset_px.unwrap_or_default();
+            self.finite(key, &offset_px)?;
+            if let Some(offset) = offset_px.iter().find(|v| v.abs() > LARGEST_CHROMA_OFFSET_PX) {
+                let expected = format!("{LARGEST_CHROMA_OFFSET_PX} px or less either way");
+                return Err(self.value(key, offset, expected));
+            }
+            Ok(offset_px)
+        };
+        let chroma_offset_px = offset_px("camera.chroma_offset_px", raw.chroma_offset_px)?;
+        let colour_offset_px = offset_px("camera.colour_offset_px", raw.colour_offset_px)?;
         if let Some(exposure) = raw.exposure_ms {
             self.positive("camera.exposure_ms", exposure)?;
             self.within("camera.exposure_ms", &[exposure], LONGEST_EXPOSURE_MS)?;
@@ -210,7 +215,16 @@ impl Check<'_> {
             return Err(self.value("camera.gamma", gamma, expected));
         }
         let size_px = [raw.width_px, raw.height_px];
-        Ok(Camera { size_px, lens, blur_px: raw.blur_px, chroma_offset_px, exposure_s, readout_s, gamma: raw.gamma })
+        Ok(Camera {
+            size_px,
+            lens,
+            blur_px: raw.blur_px,
+            chroma_offset_px,
+            colour_offset_px,
+            exposure_s,
+            readout_s,
+            gamma: raw.gamma,
+        })
     }
 
     fn surface(&self, name: &str, raw: &SurfaceFile) -> Result<Surface, RigError> {

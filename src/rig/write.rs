@@ -89,9 +89,10 @@ fn camera(camera: &Camera) -> String {
     if let Some(blur) = camera.blur_px {
         let _ = writeln!(text, "blur_px = {}", decimal(blur, 9));
     }
-    if camera.chroma_offset_px != [0.0; 2] {
-        let offset = list(camera.chroma_offset_px.iter().map(|v| decimal(*v, 9)));
-        let _ = writeln!(text, "chroma_offset_px = {offset}");
+    let offsets = [("chroma_offset_px", camera.chroma_offset_px), ("colour_offset_px", camera.colour_offset_px)];
+    for (key, offset) in offsets.into_iter().filter(|(_, offset)| *offset != [0.0; 2]) {
+        let offset = list(offset.iter().map(|v| decimal(*v, 9)));
+        let _ = writeln!(text, "{key} = {offset}");
     }
     if let Some(exposure_s) = camera.exposure_s {
         let _ = writeln!(text, "exposure_ms = {}", decimal(exposure_s * 1e3, 6));

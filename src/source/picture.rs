@@ -227,6 +227,11 @@ impl PixelFormat {
         self.chroma_log2() != [0, 0]
     }
 
+    /// Whether each pixel has its own colour.
+    pub(crate) fn has_chroma_per_pixel(self) -> bool {
+        self != Self::Grey && !self.is_subsampled()
+    }
+
     fn chroma_log2(self) -> [u8; 2] {
         match self {
             Self::Yuv { chroma_log2 } => chroma_log2,

@@ -4,7 +4,8 @@
 //! chunk, where they are summed, and not kept.
 
 use crate::source::Picture;
-use crate::track::chunk::{CHUNK, Chunk, Piece, Rows, Scene};
+use crate::track::channel::Channel;
+use crate::track::chunk::{CHUNK, Chunk, Light, Piece, Rows, Scene};
 use crate::track::equations::Eliminated;
 use crate::track::fields::RowShift;
 use crate::track::fringes::Pair;
@@ -184,6 +185,8 @@ struct Scores {
     coded: Vec<[f32; 3]>,
     /// Of each span.
     widths: Vec<Sum>,
+    /// Derivatives of chroma alone, where a channel has more.
+    chroma: Option<Box<Rows>>,
 }
 
 impl Scores {
@@ -195,16 +198,30 @@ impl Scores {
         coded.resize(patch.cells.len(), [0.0; 3]);
         let slips = Slips::new(scene.layout, patch.spans.len());
         let widths = vec![Sum::default(); patch.spans.len()];
-        Self { cells, slips, rows: RowShift::default(), colours: Pair::default(), said: 0.0, coded, widths }
+        Self {
+            cells,
+            slips,
+            rows: RowShift::default(),
+            colours: Pair::default(),
+            said: 0.0,
+            coded,
+            widths,
+            chroma: None,
+        }
     }
 
     fn add(&mut self, part: &Part<'_>) {
         self.said += add_to_cells(&mut self.cells, &mut self.coded, part);
         add_to_width(&mut self.widths[part.span], part);
-        if part.apart {
-            add_to_slips(&mut self.slips, part);
-        } else {
+        if !part.apart {
             add_to_rows(&mut self.rows, part);
+        }
+        if let Some(chroma) = &part.channel.chroma {
+            let slipping = match *chroma == part.channel.weights {
+                true => part.rows,
+                false => self.chroma.get_or_insert_default().of(part.chunk, part.piece, part.light, chroma),
+            };
+            add_to_slips(&mut self.slips, part, slipping);
         }
         if let Some(k) = part.colour {
             let (information, pull) = shift_of(part);
@@ -224,8 +241,9 @@ struct Part<'a> {
     /// The points, and the piece of tube that they are compared with.
     chunk: &'a Chunk,
     piece: &'a Piece,
+    light: &'a Light<'a>,
     /// The stored channel, and whether it is stored apart from the pixels.
-    channel: u8,
+    channel: &'a Channel,
     apart: bool,
     /// Which of the two channels furthest from each other it is, if it is one.
     colour: Option<usize>,
@@ -384,8 +402,7 @@ impl Comparison {
                         let rows = rows.of(chunk, &piece, &light, &channel.weights);
                         let (points, seen) = (points.clone(), chunk.seen);
                         let (span, ring) = (*span, spans[*span].ring);
-                        let channel = channel.number;
-                        let colour = colour_channels.iter().position(|colour| *colour == channel);
+                        let colour = colour_channels.iter().position(|colour| *colour == channel.number);
                         let part = Part {
                             span,
                             ring,
@@ -393,6 +410,7 @@ impl Comparison {
                             seen,
                             chunk,
                             piece: &piece,
+                            light: &light,
                             channel,
                             apart,
                             colour,
@@ -460,7 +478,7 @@ impl Comparison {
         coder_variances: impl Fn([u32; 2]) -> [f64; 3],
     ) -> Scattered {
         let known = self.scores.take();
-        let Scores { cells, mut slips, rows, colours, said, coded, widths: width_sums } =
+        let Scores { cells, mut slips, rows, colours, said, coded, widths: width_sums, .. } =
             known.unwrap_or_else(|| self.scores(scene));
         let Memory { patch, squares, variances, .. } = &mut self.memory;
         let Patch { spans, cells: places, squares: pixels, .. } = &*patch;
@@ -515,7 +533,7 @@ fn add_to_cells(cells: &mut [Row], coded: &mut [[f32; 3]], part: &Part<'_>) -> f
         let [across, along] = shifted(row, part.seen);
         let says = weight * (across * across + along * along);
         said += f64::from(says);
-        coded[cell as usize][usize::from(part.channel)] += says * weight;
+        coded[cell as usize][usize::from(part.channel.number)] += says * weight;
         add_row(&mut cells[cell as usize], row, part.seen, weight * residual);
     }
     said
@@ -569,11 +587,11 @@ fn shift_of(part: &Part<'_>) -> ([f32; 3], [f32; 2]) {
     (information, pull)
 }
 
-/// Adds samples of chroma to the slips they show.
+/// Adds samples to the slips of chroma that they show, with the derivatives of their chroma alone.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add_to_slips(slips: &mut Slips, part: &Part<'_>) {
-    for (row, residual, weight, _) in part.samples() {
-        slips.add((part.span, part.ring), (row, part.seen), residual, weight);
+fn add_to_slips(slips: &mut Slips, part: &Part<'_>, slipping: &[Row]) {
+    for ((row, residual, weight, _), slipping) in part.samples().zip(slipping) {
+        slips.add((part.span, part.ring), (row, slipping, part.seen), residual, weight);
     }
 }
 

@@ -60,6 +60,9 @@ impl Round<'_> {
             let moved = plain * view.shape * unmodelled(image, point, stretch, &error) * growth;
             covariance += moved * moved.transpose();
         }
+        let of_sensor = picture.format().has_chroma_per_pixel()
+            && model.chroma_offset_px == [0.0; 2]
+            && model.error == ModelError::FULL;
         let inflation = (covariance.fixed_view::<3, 3>(0, 0).trace() / plain.fixed_view::<3, 3>(0, 0).trace()).max(1.0);
         let own = points.iter().zip(&seen).zip(normals).zip(&step.colours).map(|(((point, view), normal), colours)| {
             own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
@@ -74,6 +77,8 @@ impl Round<'_> {
             let Scattered { slips, rows, colours: colour_shifts, mut widths, coded, .. } = scattered;
             // Their errors are correlated as those of the shape.
             widths.iter_mut().for_each(|width| width.sd_px *= (inflation + coded).sqrt());
+            // A coder or a program moves chroma, in ways that are as correlated; a sensor does not.
+            let slip = slips.seen(if of_sensor { inflation } else { 1.0 });
             ViewFit {
                 image,
                 look,
@@ -81,7 +86,7 @@ impl Round<'_> {
                 residual_covariance_px2,
                 rms,
                 misfit: misfit(std::slice::from_ref(normal)),
-                slip: slips.seen,
+                slip,
                 slip_response: slips.response,
                 rows,
                 colour_shifts,

@@ -21,7 +21,7 @@ use crate::track::places::Density;
 use crate::track::round::{Guess, Minimum, Round};
 use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;
-use crate::track::tube::{SHAPE, TubeShape};
+use crate::track::tube::{SHAPE, ShapeStep, TubeShape};
 use crate::track::tube_image::{Sweep, TubeImage};
 use crate::track::view::{Selection, View, Weighing};
 use crate::track::widths::Width;
@@ -92,6 +92,11 @@ impl TubeFit {
     /// How its views look.
     pub(crate) fn looks(&self) -> Vec<Look> {
         self.views.iter().map(|view| view.look.clone()).collect()
+    }
+
+    /// How chroma that slips alike in all views, by this much, moves the shape.
+    pub(crate) fn moved_by_slip(&self, slip_px: &Vector2<f64>) -> ShapeStep {
+        self.views.iter().map(|view| view.slip_response * slip_px).sum()
     }
 
     /// By how much the views disagree: χ² of the shifts that they alone would give.
@@ -238,7 +243,6 @@ mod tests {
     use crate::track::fringes::apart;
     use crate::track::image_model::ModelError;
     use crate::track::light::Encoding;
-    use crate::track::tube::ShapeStep;
     use nalgebra::Vector3;
 
     /// The image model is assumed exact, so that the covariance is that of the noise alone.
@@ -400,6 +404,58 @@ mod tests {
         for view in &found.views {
             let (apart_px, sd_px) = apart(&view.colour_shifts).unwrap();
             assert!((apart_px + Vector2::x()).norm() < 0.25, "{apart_px} ± {sd_px}");
+        }
+    }
+
+    #[test]
+    fn chroma_beside_luma_is_measured_and_fitted_where_it_is() {
+        let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
+        let drawn = tube.picture(Sensor::default(), 8);
+        let (colour, [width, height]) = (drawn.colour(), drawn.size_px());
+        let rgb = drawn.rgb_from_stored().unwrap();
+        let at = |x: usize, y: usize| {
+            let stored = |c: usize| drawn.plane(c).map(|plane| f64::from(plane.row(y).unwrap()[x * plane.step]));
+            rgb.apply(&Vector3::from_fn(|c, _| stored(c).unwrap()))
+        };
+        // With chroma that shows what is so many pixels to its left.
+        let of = |format: PixelFormat, channel: usize, left: usize| {
+            let (weights, constant) = colour.channel_from_rgb(format, channel);
+            let (luma, _) = colour.channel_from_rgb(PixelFormat::Grey, 0);
+            let [weights, luma] = [weights, luma].map(Vector3::from);
+            let value = |x: usize, y: usize| {
+                let (here, beside) = (at(x, y), at(x.saturating_sub(left), y));
+                let shifted = beside + Vector3::repeat((here - beside).dot(&luma) / luma.sum());
+                (weights.dot(&shifted) + constant).round().clamp(0.0, 255.0) as u8
+            };
+            (0..height as usize).flat_map(|y| (0..width as usize).map(move |x| value(x, y))).collect::<Vec<_>>()
+        };
+        let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
+        for format in [PixelFormat::RgbPlanar, PixelFormat::Yuv { chroma_log2: [0, 0] }] {
+            let fitted = |left: usize, offset_px: f64| {
+                let planes = (0..3).map(|channel| of(format, channel, left)).collect();
+                let picture = Picture::from_planes(width, height, format, colour, planes).unwrap();
+                let model = ImageModel { chroma_offset_px: [offset_px, 0.0], ..model() };
+                let fit = fitting(&stretch(), &views(), &model, &picture).fit(&start).unwrap();
+                let mut slip = Seen::default();
+                fit.views.iter().for_each(|view| slip.add(&view.slip));
+                let error_m = fit.shape.centre - tube.centre;
+                let moved = fit.moved_by_slip(&slip.mean_px());
+                let widened = fit.covariance
+                    + fit.slip_covariance * slip.variance_px2(&slip.mean_px())
+                    + moved * moved.transpose();
+                let sd_m = [fit.covariance, widened].map(|all| (all.fixed_view::<3, 3>(0, 0).trace() / 3.0).sqrt());
+                (error_m, slip.mean_px(), sd_m)
+            };
+            let (error_m, slip_px, [sd_m, widened_m]) = fitted(1, 0.0);
+            assert!((slip_px - Vector2::x()).norm() < 0.4, "{format:?}: {slip_px}");
+            let error_m = error_m.norm();
+            assert!(error_m > 4.0 * sd_m, "{format:?}: {error_m} m does not matter");
+            assert!(error_m < 3.0 * widened_m, "{format:?}: {error_m} m, σ {widened_m} m");
+            // In the same place as without.
+            let (error_m, slip_px, [sd_m, _]) = fitted(1, -1.0);
+            assert!(slip_px.norm() < 0.05, "{format:?}: {slip_px}");
+            let apart_m = (error_m - fitted(0, 0.0).0).norm();
+            assert!(apart_m < 3.0 * sd_m, "{format:?}: {apart_m} m, σ {sd_m} m");
         }
     }
 

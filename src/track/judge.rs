@@ -2,6 +2,7 @@
 
 use crate::estimate::Miss;
 use crate::rig::Rig;
+use crate::source::PixelFormat;
 use crate::track::find::Found;
 use crate::track::fit::ViewFit;
 use crate::track::group_fit::{DISAGREEMENT, Fitted};
@@ -48,7 +49,7 @@ pub(crate) struct Judge {
     /// Of the fits of each reference marker: mean disagreement of the views, as χ² per degree of freedom.
     disagreement: Vec<f64>,
     slip: Seen,
-    /// Observed offset of chroma from the rig's, pixels.
+    /// Observed offset of chroma from the rig's that following frames are fitted with, pixels.
     pub mean_slip_px: Vector2<f64>,
 }
 
@@ -83,13 +84,22 @@ impl Judge {
 
     /// Adds the slip of chroma and the views' disagreement to the covariances, and refuses fits with unusual residuals
     /// or of too little of a band.
-    pub(crate) fn judge(&mut self, rig: &Rig, encoding: &Encoding, found: &Found, fitted: &mut [Fitted]) {
+    pub(crate) fn judge(
+        &mut self,
+        rig: &Rig,
+        encoding: &Encoding,
+        format: PixelFormat,
+        found: &Found,
+        fitted: &mut [Fitted],
+    ) {
         self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
             fit.views.iter().for_each(|view| self.slip.add(&view.slip.beyond(&self.mean_slip_px)));
         }
-        let variance_px2 = self.slip.variance_px2();
-        self.mean_slip_px = self.slip.mean_px();
+        let mean_px = self.slip.mean_px();
+        let variance_px2 = self.slip.variance_px2(&mean_px);
+        let left_px = mean_px - self.mean_slip_px;
+        self.mean_slip_px = self.slip.mean_px_in(format);
         let images = fitted.iter().filter_map(|Fitted { group, views, result }| {
             let images = result.as_ref().ok()?.views.iter().map(|view| view.image.at_arc(0.0).pixel);
             Some((group.reference, views.iter().copied().zip(images).collect()))
@@ -109,6 +119,9 @@ impl Judge {
         for (Fitted { group, views, result }, residuals) in fitted.iter_mut().zip(&residuals) {
             let Ok(fit) = result else { continue };
             fit.covariance += fit.slip_covariance * variance_px2;
+            // What is common to all bands and was not taken out.
+            let moved = fit.moved_by_slip(&left_px);
+            fit.covariance += moved * moved.transpose();
             // Views that lastingly disagree do not show one moment, or not what the rig says; chance is 1.
             let mean = &mut self.disagreement[group.reference];
             let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);

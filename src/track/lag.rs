@@ -7,8 +7,7 @@
 //! none: the lens may show colours at different places. The fit follows luma and chroma both: how its shape responds to
 //! chroma that lies behind by the lag times the way belongs into its covariance.
 //!
-//! Cannot detect: a lag while nothing moves; any in pictures that have the same chroma and luma sampling, where a slip
-//! is not measured.
+//! Cannot detect: a lag while nothing moves.
 
 use crate::track::slip::Seen;
 use nalgebra::{Matrix2, Vector2};

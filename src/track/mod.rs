@@ -7,6 +7,7 @@ mod assign;
 mod assign_tests;
 mod blending;
 mod by_band;
+mod channel;
 mod chunk;
 mod coil;
 mod compare;

@@ -3,9 +3,11 @@
 //! Stored samples (Y, U, V at their own sampling, or R, G, B) are taken as they are: the model is evaluated at every
 //! pixel, in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as
 //! wide as the sampling. Only its derivatives are those at its own place, through a blur as wide as its neighbourhood.
+//! Where each pixel has its own chroma, but not at its own place, it is taken from there (channel.rs).
 
 use crate::source::{Picture, Plane};
 use crate::track::appearance::{BACKGROUND, CAP, Layout, segment_at};
+use crate::track::channel::{Beside, Channel};
 use crate::track::light::Encoding;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::Span;
@@ -27,14 +29,6 @@ pub(crate) struct Strip {
     /// Index of its span.
     pub span: usize,
     pub points: Range<usize>,
-}
-
-/// A stored channel: number, weights of R'G'B', constant.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Channel {
-    pub number: u8,
-    pub weights: [f32; 3],
-    pub constant: f32,
 }
 
 /// Points at which the same channels are stored: pixels with Y or R, G and B; samples of U and V. Ordered by strips,
@@ -140,6 +134,14 @@ impl Layer {
             }
         }
         Some(())
+    }
+
+    /// Puts chroma that lies beside its pixels right, in the values of all channels.
+    fn put_right(&mut self, beside: &Beside, planes: &[Plane<'_>; 3]) {
+        for (i, at) in self.at.iter().enumerate() {
+            let changes = beside.changes(planes, *at);
+            self.stored.iter_mut().zip(changes).for_each(|(values, change)| values[i] += change);
+        }
     }
 
     /// Whether each pixel has its own sample.
@@ -273,7 +275,10 @@ impl Patch {
         let Shown { image, layout, range_m } = *shown;
         let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
         let middle = self.field.surround(image, range, picture.size_px(), margin_px).ok_or(NoFit::OutOfPicture)?;
-        picture.declare_read(self.field.window()).map_err(|_| NoFit::NotRecorded)?;
+        let beside = Beside::of(picture, chroma_offset_px);
+        let reach_px = beside.as_ref().map_or(0, Beside::reach_px);
+        let window = self.field.window().grown(reach_px, 1).clipped(picture.size_px());
+        picture.declare_read(window).map_err(|_| NoFit::NotRecorded)?;
         let spans = Spans::new(image, layout);
         spans.find(&self.field, range, density, &mut self.places);
         self.field.number(&self.places.list);
@@ -289,10 +294,6 @@ impl Patch {
         for alike in channels.chunk_by(|a, b| scale(a) == scale(b)) {
             let planes = alike.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>();
             let planes = planes.ok_or(NoFit::OutOfPicture)?;
-            let channel = |&number: &usize| {
-                let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), number);
-                Channel { number: number as u8, weights: weights.map(|w| w as f32), constant: constant as f32 }
-            };
             let layer = if planes[0].scale == [1, 1] {
                 &mut *pixels
             } else {
@@ -308,7 +309,11 @@ impl Patch {
                 );
                 layer
             };
-            layer.take_channels(alike.iter().map(channel), &planes).ok_or(NoFit::OutOfPicture)?;
+            let taken = alike.iter().map(|number| Channel::of(picture, *number));
+            layer.take_channels(taken, &planes).ok_or(NoFit::OutOfPicture)?;
+            if let (Some(beside), Ok(planes)) = (&beside, planes.as_slice().try_into()) {
+                layer.put_right(beside, planes);
+            }
         }
         samples.truncate(subsampled);
         Ok(())

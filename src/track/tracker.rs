@@ -3,7 +3,7 @@
 use crate::estimate::{Estimate, Miss, Spot};
 use crate::rig::Rig;
 use crate::segment::SegmentError;
-use crate::source::{Frame, Picture, Timestamp, Transfer};
+use crate::source::{Frame, Picture, PixelFormat, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::blending::Blending;
 use crate::track::coil::deflection;
@@ -29,6 +29,7 @@ use crate::track::repeats::Repeats;
 use crate::track::rolling::Rolling;
 use crate::track::scatter::Scatter;
 use crate::track::shake::Shake;
+use crate::track::slip::Seen;
 use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::{ShapeStep, TubeShape};
 use crate::track::warnings::{
@@ -203,9 +204,7 @@ impl Tracker {
             self.transfer = picture.colour().transfer;
             self.model.encoding = Encoding::new(self.transfer);
         }
-        // A sample that shows what is to its left is located further left.
-        let taught = self.rig.camera.chroma_offset_px;
-        self.model.chroma_offset_px = [0, 1].map(|axis| taught[axis] - self.judge.mean_slip_px[axis]);
+        self.follow_chroma(picture.format());
         // 1. blobs and their assignment to markers and views
         let found = match self.finder.find(&self.rig, frame) {
             Err(SegmentError::NotRecorded(_)) => return Ok((Err(Miss::NotRecorded), None)),
@@ -216,7 +215,7 @@ impl Tracker {
         self.model.error = ModelError::of(picture, converted, noisy);
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
-        self.judge.judge(&self.rig, &self.model.encoding, &found, &mut fitted);
+        self.judge.judge(&self.rig, &self.model.encoding, picture.format(), &found, &mut fitted);
         let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
         views.filter_map(|view| view.grain.as_ref()).for_each(|grain| self.grain.add(grain));
         let moved_px = self.look_at_motion(frame.stamp, &fitted);
@@ -307,11 +306,32 @@ impl Tracker {
         misfit
     }
 
+    /// How far the chroma of pictures of one format lies from where the rig says, pixels (right, down): the mean over
+    /// those frames, each without any memory.
+    pub(crate) fn mean_slip_px(&mut self, frames: &[&Frame]) -> Vector2<f64> {
+        let mut slip = Seen::default();
+        for frame in frames {
+            let fitted = self.fit_alone(frame).map_or(Vec::new(), |(_, fitted)| fitted);
+            let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
+            views.for_each(|view| slip.add(&view.slip));
+        }
+        frames.first().map_or_else(Vector2::zeros, |frame| slip.mean_px_in(frame.picture.format()))
+    }
+
     /// Finds and fits the bands of a frame without any memory.
     fn fit_alone(&mut self, frame: &Frame) -> Option<(Found, Vec<Fitted>)> {
         let found = self.finder.find_alone(&self.rig, frame)?;
+        self.follow_chroma(frame.picture.format());
         let fitted = self.fit(frame, &found, COMPARED_PX);
         Some((found, fitted))
+    }
+
+    /// Takes the offset of chroma that was taught for pictures of this format, less what has been seen since.
+    fn follow_chroma(&mut self, format: PixelFormat) {
+        let camera = &self.rig.camera;
+        let taught = if format.has_chroma_per_pixel() { camera.colour_offset_px } else { camera.chroma_offset_px };
+        // A sample that shows what is to its left is located further left.
+        self.model.chroma_offset_px = [0, 1].map(|axis| taught[axis] - self.judge.mean_slip_px[axis]);
     }
 
     fn fit(&self, frame: &Frame, found: &Found, margin_px: f64) -> Vec<Fitted> {

@@ -184,6 +184,7 @@ fn boards_seen_in_a_mirror_only_are_told_and_not_used() {
         lens: lens(),
         blur_px: None,
         chroma_offset_px: [0.0; 2],
+        colour_offset_px: [0.0; 2],
         exposure_s: None,
         readout_s: None,
         gamma: None,

@@ -67,6 +67,7 @@ fn calibrate(folder: &Path, points: &str, more: &[&str]) -> Output {
         lens: lens(),
         blur_px: None,
         chroma_offset_px: [0.0; 2],
+        colour_offset_px: [0.0; 2],
         exposure_s: None,
         readout_s: None,
         gamma: None,

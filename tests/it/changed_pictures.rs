@@ -4,9 +4,9 @@ use crate::support::command::{rig, sample};
 use catoptra::calibrate::markers::{MarkersOptions, Pick, calibrate_markers};
 use catoptra::estimate::{BandObservation, Estimate};
 use catoptra::rig::Rig;
-use catoptra::source::{Frame, FrameSource, Picture, SourceError, VideoFile, VideoOptions};
+use catoptra::source::{Frame, FrameSource, Picture, PixelFormat, SourceError, VideoFile, VideoOptions};
 use catoptra::track::{TrackOptions, Tracker};
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector3};
 use std::ops::Range;
 
 /// Frames of the sample in which the catheter swings.
@@ -301,6 +301,52 @@ fn colours_blended_with_those_before_are_warned_of() {
     assert!(!silent && warned);
     let (mean, count) = mean_square(&sound[COUNT..], &late[COUNT..], 1..3);
     assert!(count > 100 && mean < 2.0, "{mean} of {count} positions");
+}
+
+/// The picture as R, G and B, made by copying samples of chroma, which land a pixel right of where they belong.
+fn copied_to_rgb(picture: &Picture) -> Picture {
+    let rgb = picture.rgb_from_stored().unwrap();
+    let [width, height] = picture.size_px();
+    let at = |x: u32, y: u32| {
+        let stored = |c: usize| {
+            let plane = picture.plane(c).unwrap();
+            let x = if c > 0 { x.saturating_sub(1) } else { x };
+            f64::from(plane.row((y / plane.scale[1]) as usize).unwrap()[(x / plane.scale[0]) as usize * plane.step])
+        };
+        rgb.apply(&Vector3::new(stored(0), stored(1), stored(2))).map(|value| value.round().clamp(0.0, 255.0) as u8)
+    };
+    let pixels: Vec<_> = (0..height).flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
+    let planes = (0..3).map(|c| pixels.iter().map(|pixel| pixel[c]).collect()).collect();
+    Picture::from_planes(width, height, PixelFormat::RgbPlanar, picture.colour(), planes).unwrap()
+}
+
+#[test]
+fn colours_beside_their_pixels_do_not_pull_bands() {
+    let (truth, _) = tracked(&frames(FIRST, COUNT, Picture::clone));
+    let beside = frames(FIRST, COUNT, copied_to_rgb);
+    let (found, _) = tracked(&beside);
+    // A frame without knowledge of the offset has a σ that contains it.
+    let (first, _) = mean_square(&truth[..1], &found[..1], 0..3);
+    assert!(first < 3.0, "first frame: {first}");
+    let off_mm = |m: usize, k: usize| {
+        let point = |all: &[Estimate]| all[k].markers[m].position.as_ref().unwrap().point;
+        (point(&found) - point(&truth)).norm() * 1e3
+    };
+    for m in 0..3 {
+        let (square, count) = mean_square(&truth, &found, m..m + 1);
+        assert!(count == COUNT && square < 2.0, "marker {m}: {square} times the expected square in {count} frames");
+        let off_mm = (5..COUNT).map(|k| off_mm(m, k)).sum::<f64>() / (COUNT - 5) as f64;
+        // Base, coil and tip 0.09, 0.04 and 0.04 mm; fitted as if chroma were in its place, the base 0.7 mm.
+        assert!(off_mm < 0.12, "marker {m} is {off_mm} mm off");
+    }
+}
+
+#[test]
+fn colours_beside_their_pixels_are_taught_and_others_are_not() {
+    let (rig, _) = taught(&frames(0, 60, copied_to_rgb));
+    let [right, down] = rig.camera.colour_offset_px;
+    assert!((right + 1.0).abs() < 0.15 && down.abs() < 0.1, "chroma offset {right}, {down} px");
+    assert_eq!(rig.camera.chroma_offset_px, [0.0; 2]);
 }
 
 #[test]

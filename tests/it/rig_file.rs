@@ -136,6 +136,7 @@ fn mistakes_are_named() {
         ("[0.0, 0.0, 0.0, 0.0, 0.0]", "[0.0, nan, 0.0, 0.0, 0.0]", &["camera.distortion", "NaN", "finite"]),
         ("blur_px = 0.7", "blur_px = -0.7", &["camera.blur_px = -0.7", "positive"]),
         ("path = [\"front", "blur_px = 0.0\npath = [\"front", &["view.direct.blur_px = 0", "positive"]),
+        ("blur_px = 0.7", "colour_offset_px = [0.0, 2.5]", &["camera.colour_offset_px = 2.5", "2 px or less"]),
         ("blur_px = 0.7", "readout_ms = 300.0", &["camera.readout_ms = 300", "200 or less either way"]),
         ("[0.0, 0.0, -1.0]", "[0.0, 0.6, -0.9]", &["surfaces.front_wall.normal", "length 1, it is 1.081665", "0.5547"]),
         ("[0.0, 0.0, -1.0]", "[0.0, nan, -1.0]", &["surfaces.front_wall.normal = [0.0, NaN, -1.0]", "finite"]),
@@ -285,7 +286,9 @@ fn what_is_read_and_written_reads_the_same() {
     assert_eq!(read(&own_blur).unwrap().blurs_px().collect::<Vec<_>>(), [Some(0.7), Some(0.9)]);
     let rolling = changed("blur_px = 0.7", "readout_ms = -14.5");
     assert_eq!(read(&rolling).unwrap().camera.readout_s, Some(-14.5e-3));
-    for text in [RIG.to_owned(), own_blur, rolling, std::fs::read_to_string(dev_tank()).unwrap()] {
+    let beside = changed("blur_px = 0.7", "colour_offset_px = [-1.0, 0.25]");
+    assert_eq!(read(&beside).unwrap().camera.colour_offset_px, [-1.0, 0.25]);
+    for text in [RIG.to_owned(), own_blur, rolling, beside, std::fs::read_to_string(dev_tank()).unwrap()] {
         let rig = read(&text).unwrap();
         let written = rig.to_toml_string();
         let again = read(&written).unwrap();

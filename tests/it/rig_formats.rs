@@ -89,6 +89,7 @@ fn camera() -> Camera {
         lens,
         blur_px: None,
         chroma_offset_px: [0.0; 2],
+        colour_offset_px: [0.0; 2],
         exposure_s: None,
         readout_s: None,
         gamma: None,
@@ -221,7 +222,7 @@ proptest! {
                 denominator = [0.0; 3];
             }
             let lens = Lens { focal_px: focal.into(), principal_point_px: centre.into(), distortion, denominator };
-            let camera = Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None, readout_s: None, gamma: None };
+            let camera = Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], colour_offset_px: [0.0; 2], exposure_s: None, readout_s: None, gamma: None };
             let text = format.write(&Draft::of_camera(camera.clone()), None, Path::new("rig.toml")).unwrap();
             prop_assert_eq!(Format::guess(&text, Path::new("f")).unwrap(), format);
             prop_assert_eq!(format.read(&text, Path::new("f")).unwrap(), camera);

@@ -7,12 +7,14 @@ use crate::calibrate::markers::{MarkersError, track, view_blurs};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
 use crate::rig::{Marker, Rig};
-use crate::source::Frame;
+use crate::source::{Frame, PixelFormat};
 use crate::track::curve::mean_with_sd;
 use crate::track::{TrackOptions, Tracker};
 
 /// Frames used for the fit, and for the decision whether a gamma is needed.
 const TUNING_FRAMES: usize = 12;
+/// How often chroma of pixels is measured again at the place where it was found: far off it looks nearer than it is.
+const SLIP_STEPS: usize = 3;
 const JUDGING_FRAMES: usize = 48;
 
 /// How far the tube between two bands may deviate from a circular arc: its excess length over the chord is uncertain by
@@ -247,7 +249,8 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
 /// Blur, common to all views, and chroma offset.
 fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
     let some = every(frames, TUNING_FRAMES);
-    let subsampled = some.first().is_some_and(|f| f.picture.format().is_subsampled());
+    let of_format = |is: fn(PixelFormat) -> bool| some.first().is_some_and(|f| is(f.picture.format()));
+    let subsampled = of_format(PixelFormat::is_subsampled);
     let mut blur = rig.camera.blur_px.unwrap_or(0.6);
     // Blur and offsets hardly depend on each other: a second pass only polishes.
     for pass in 0..2 {
@@ -275,11 +278,18 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
                 *rig = with_offset(best.at);
             }
         }
+        // Where each pixel has its own chroma, misfits of two offsets may be those of different channels.
+        for _ in 0..if of_format(PixelFormat::has_chroma_per_pixel) { SLIP_STEPS } else { 0 } {
+            let Ok(mut tracker) = Tracker::new(rig, TrackOptions::default()) else { break };
+            let slip_px = tracker.mean_slip_px(&some);
+            (0..2).for_each(|axis| rig.camera.colour_offset_px[axis] -= slip_px[axis]);
+        }
     }
     // Three decimals are beyond the accuracy.
     let round = |v: f64| (v * 1e3).round() / 1e3;
     rig.camera.blur_px = rig.camera.blur_px.map(round);
     rig.camera.chroma_offset_px = rig.camera.chroma_offset_px.map(round);
+    rig.camera.colour_offset_px = rig.camera.colour_offset_px.map(round);
 }
 
 /// Exposure of the pictures, seconds, from the motion blur of the frames in which the tube moves fastest; `None` when

@@ -122,6 +122,7 @@ impl Teaching {
         rig.camera.blur_px = None;
         rig.views.iter_mut().for_each(|view| view.blur_px = None);
         rig.camera.chroma_offset_px = [0.0; 2];
+        rig.camera.colour_offset_px = [0.0; 2];
         rig.camera.exposure_s = options.exposure_s;
         rig.camera.gamma = None;
         rig.markers.iter_mut().for_each(|marker| marker.colours.clear());

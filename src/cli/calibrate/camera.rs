@@ -65,6 +65,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
             lens: done.lens,
             blur_px: None,
             chroma_offset_px: [0.0; 2],
+            colour_offset_px: [0.0; 2],
             exposure_s: None,
             readout_s: None,
             gamma: None,

@@ -420,7 +420,8 @@ fn describe(done: &Teaching) -> String {
     }
     text += &describe_colours(done);
     let camera = &done.rig.camera;
-    let [x, y] = camera.chroma_offset_px;
+    // One of the two was measured.
+    let [x, y] = [0, 1].map(|axis| camera.chroma_offset_px[axis] + camera.colour_offset_px[axis]);
     let _ = writeln!(
         text,
         "\nblur of lens and sensor {}; chroma samples sit {x:+.2}, {y:+.2} px beside where the recording says",

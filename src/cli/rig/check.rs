@@ -215,7 +215,12 @@ fn camera(out: &mut String, rig: &Draft, checked: &Check) -> fmt::Result {
         writeln!(out, "  rolling shutter  {:.2} ms from the first row to the last", readout_s * 1e3)?;
     }
     let [right, down] = camera.chroma_offset_px;
-    writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px from where recordings say")
+    writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px from where recordings say")?;
+    let [right, down] = camera.colour_offset_px;
+    match [right, down] == [0.0; 2] {
+        true => Ok(()),
+        false => writeln!(out, "  pixels' colours  {right:+.2}, {down:+.2} px from their luma"),
+    }
 }
 
 fn surfaces(out: &mut String, rig: &Draft) -> fmt::Result {

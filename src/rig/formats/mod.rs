@@ -166,6 +166,7 @@ fn camera(
         lens,
         blur_px: None,
         chroma_offset_px: [0.0; 2],
+        colour_offset_px: [0.0; 2],
         exposure_s: None,
         readout_s: None,
         gamma: None,
