@@ -4,7 +4,7 @@
 //! every corner.
 //!
 //! Minimised is Σ ρ(|corner − projection| / σ) + w Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the
-//! geometry is shared by all pictures, and so is the board's bend (`shape.rs`), the six parameters of its pose belong
+//! geometry is shared by all pictures, and so is the board's shape (`shape.rs`), the six parameters of its pose belong
 //! to one picture each. σ, the noise of a corner, is estimated from the corners themselves and the whole repeated.
 //!
 //! The covariance of the geometry has all poses free. It assumes that errors of pictures are independent, but not those
@@ -24,7 +24,7 @@ use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{End, Equations, Loss, Row, SearchError, Step, minimise};
 use crate::median::upper_median;
 use crate::optics::NoRay;
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point2, Point3, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2, Vector3};
 use pose::{by_pose, turned};
 use shape::Shape;
 
@@ -107,8 +107,8 @@ pub struct Solution {
     pub known: Vec<Prior>,
     /// The board's shape.
     pub shape: Shape,
-    /// Covariance of its bend, m².
-    pub shape_covariance: Matrix3<f64>,
+    /// Covariance of its bend, and of its stretch, the last.
+    pub shape_covariance: DMatrix<f64>,
 }
 
 /// Why there is no solution.
@@ -157,7 +157,7 @@ impl Bundle {
             let Ok(next_known) = self.clustered(&next, next_sd_px, weight) else { break };
             (at, sd_px, known, prior_weight) = (next, next_sd_px, next_known, weight);
         }
-        // The board's bend comes last.
+        // The board's shape comes last.
         let free = self.free.len();
         let of_free = |all: &DMatrix<f64>| all.view((0, 0), (free, free)).into_owned();
         Ok(Solution {
@@ -165,7 +165,7 @@ impl Bundle {
             noise_covariance: of_free(&known.noise),
             weighted_covariance: of_free(&known.weighted),
             shape: at.shape,
-            shape_covariance: known.covariance.fixed_view::<3, 3>(free, free).into_owned(),
+            shape_covariance: known.covariance.view((free, free), (shape::PARAMETERS, shape::PARAMETERS)).into_owned(),
             clusters: self.clusters(&at),
             parts: known.parts,
             design_effect: known.design_effect,
@@ -251,7 +251,7 @@ impl Bundle {
 
     /// σ of a corner's coordinate: first from the median of the residuals, then from all that are not outliers by that.
     fn noise(&self, residuals_px: &[Vector2<f64>]) -> f64 {
-        let unknowns = self.free.len() + 3 + 6 * self.poses.len();
+        let unknowns = self.free.len() + shape::PARAMETERS + 6 * self.poses.len();
         let coordinates = (2 * residuals_px.len()) as f64;
         let freedom = (coordinates - unknowns as f64).max(1.0) / coordinates;
         let in_own = |(r, corner): (&Vector2<f64>, &Corner)| r.norm_squared() / corner.relative_sd.powi(2);
@@ -265,7 +265,8 @@ impl Bundle {
     }
 
     fn equations(&self, at: &State, sd_px: f64, prior_weight: f64) -> Result<Equations, NoSolution> {
-        let mut equations = Equations::new(self.free.len() + 3, at.poses.iter().map(|_| 6));
+        let shared = self.free.len() + shape::PARAMETERS;
+        let mut equations = Equations::new(shared, at.poses.iter().map(|_| 6));
         let projector = Projector::new(&at.geometry, &self.free);
         for corner in &self.corners {
             let sd_px = sd_px * corner.relative_sd;
@@ -273,8 +274,8 @@ impl Bundle {
             let place = at.shape.place(&corner.place);
             let seen = projector.seen(corner.view, &(pose * place)).map_err(|why| self.unseen(corner, why))?;
             let residual = (corner.pixel - seen.pixel) / sd_px;
-            let by_rise = seen.d_point * (pose.rotation * Vector3::z());
-            let by_shape = at.shape.rises(&corner.place).map(|rise| by_rise * rise);
+            let by_place = seen.d_point * pose.rotation.to_rotation_matrix().into_inner();
+            let by_shape: Vec<Vector2<f64>> = at.shape.moves(&corner.place).map(|by| by_place * by).collect();
             let by_shared = [0, 1]
                 .map(|axis| seen.d_parameters.iter().chain(&by_shape).map(|d| d[axis] / sd_px).collect::<Vec<_>>());
             let by_pose = [0, 1].map(|axis| {
@@ -288,22 +289,18 @@ impl Bundle {
         let weight = prior_weight.sqrt();
         for known in &self.known {
             for Equation { residual, by_geometry, by_pose } in known.rows(&at.geometry, &at.poses, &self.free) {
-                let by_shared = (by_geometry * weight).resize_vertically(self.free.len() + 3, 0.0);
+                let by_shared = (by_geometry * weight).resize_vertically(shared, 0.0);
                 let by_pose = by_pose.map(|(picture, by_pose)| (picture, by_pose * weight));
                 let own = by_pose.as_ref().map_or(&[][..], |(_, by_pose)| by_pose.as_slice());
                 let row = Row { residual: residual * weight, shared: by_shared.as_slice(), own };
                 equations.add(by_pose.map(|(picture, _)| picture), &[row], Loss::Squared);
             }
         }
-        for (i, bend_m) in at.shape.bend_m.into_iter().enumerate() {
-            let to_sd = weight / at.shape.prior_sd_m();
-            let mut by_shared = DVector::zeros(self.free.len() + 3);
-            by_shared[self.free.len() + i] = to_sd;
-            equations.add(
-                None,
-                &[Row { residual: -bend_m * to_sd, shared: by_shared.as_slice(), own: &[] }],
-                Loss::Squared,
-            );
+        for (i, (value, sd)) in at.shape.priors().enumerate() {
+            let mut by_shared = DVector::zeros(shared);
+            by_shared[self.free.len() + i] = weight / sd;
+            let row = Row { residual: -value * weight / sd, shared: by_shared.as_slice(), own: &[] };
+            equations.add(None, &[row], Loss::Squared);
         }
         Ok(equations)
     }
@@ -528,7 +525,7 @@ pub(super) mod tests {
         let (mut of_shape, mut of_geometry) = (0.0, 0.0);
         for seed in 0..RUNS {
             let mut bundle = bundle(&truth, 0.02, 1.0, 700 + seed);
-            let bent = Shape { bend_m: [2e-4, -1e-4, 1e-4], ..bundle.shape };
+            let bent = bundle.shape.stepped(&[2e-4, -1e-4, 1e-4]);
             let projector = Projector::new(&truth, &[]);
             let mut flat = bundle.clone().solve().unwrap();
             // Displacement by the bend in each picture, seen from the approximate pose of its board.
@@ -539,7 +536,7 @@ pub(super) mod tests {
             }
             flat = bundle.solve().unwrap();
             for i in 0..3 {
-                let off = flat.shape.bend_m[i] - bent.bend_m[i];
+                let off = flat.shape.bend_m()[i] - bent.bend_m()[i];
                 of_shape += off * off / flat.shape_covariance[(i, i)] / (3 * RUNS) as f64;
             }
             let off = error(&flat, &truth);
