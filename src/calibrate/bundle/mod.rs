@@ -15,6 +15,7 @@
 pub(crate) mod clusters;
 pub(crate) mod outliers;
 pub(crate) mod pose;
+mod print;
 pub(crate) mod prior;
 pub(crate) mod shape;
 
@@ -26,6 +27,7 @@ use crate::median::upper_median;
 use crate::optics::NoRay;
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2, Vector3};
 use pose::{by_pose, turned};
+use print::Believed;
 use shape::Shape;
 
 /// Corners further off than this many σ are not used to estimate σ.
@@ -130,12 +132,17 @@ pub enum NoSolution {
     NotConverged,
 }
 
+/// See [`Bundle::held`].
+type Held = (Believed, State, f64, Clustered);
+
 /// State of the search.
 #[derive(Clone)]
 struct State {
     geometry: Geometry,
     poses: Vec<Isometry3<f64>>,
     shape: Shape,
+    /// Stretch and skew of the print, if they are held.
+    held: Option<[f64; 2]>,
 }
 
 impl Bundle {
@@ -159,6 +166,12 @@ impl Bundle {
         }
         // The board's shape comes last.
         let free = self.free.len();
+        if let Some((print, next, next_sd_px, mut next_known)) = self.held(&at, sd_px, &known, prior_weight) {
+            for all in [&mut next_known.covariance, &mut next_known.noise, &mut next_known.weighted] {
+                *all += &print.covariance;
+            }
+            (at, sd_px, known) = (next, next_sd_px, next_known);
+        }
         let of_free = |all: &DMatrix<f64>| all.view((0, 0), (free, free)).into_owned();
         Ok(Solution {
             covariance: of_free(&known.covariance),
@@ -179,12 +192,26 @@ impl Bundle {
         })
     }
 
+    /// With stretch and skew of the print held where they are believed to be: these, the state, the noise of a corner,
+    /// and the uncertainty without theirs. `None` for a rigid set of points, or if the search fails: the solution with
+    /// both as found stands, its σ holds.
+    fn held(&self, at: &State, sd_px: f64, known: &Clustered, prior_weight: f64) -> Option<Held> {
+        if at.shape.is_rigid() {
+            return None;
+        }
+        let print = Believed::of(known, at.shape.print(), self.free.len())?;
+        let start = State { held: Some(print.print), ..at.clone() };
+        let (next, sd_px) = self.searched(sd_px, prior_weight, start).ok()?;
+        let known = self.clustered(&next, sd_px, prior_weight).ok()?;
+        Some((print, next, sd_px, known))
+    }
+
     /// As [`Self::solve`], without covariances: the end of the search, as the start of another.
     ///
     /// # Errors
     /// As [`Self::solve`].
     pub(crate) fn search(self) -> Result<Self, NoSolution> {
-        let (State { geometry, poses, shape }, _) = self.searched(START_SD_PX, 1.0, self.start())?;
+        let (State { geometry, poses, shape, .. }, _) = self.searched(START_SD_PX, 1.0, self.start())?;
         Ok(Self { geometry, poses, shape, ..self })
     }
 
@@ -194,7 +221,7 @@ impl Bundle {
     }
 
     fn start(&self) -> State {
-        State { geometry: self.geometry.clone(), poses: self.poses.clone(), shape: self.shape }
+        State { geometry: self.geometry.clone(), poses: self.poses.clone(), shape: self.shape, held: None }
     }
 
     /// The minimum cost, and the noise of a corner there; `sd_px` is the noise assumed initially.
@@ -230,6 +257,7 @@ impl Bundle {
             geometry: at.geometry.stepped(&self.free, by_geometry),
             poses: at.poses.iter().zip(&step.own).map(pose).collect(),
             shape: at.shape.stepped(by_shape),
+            held: at.held,
         }
     }
 
@@ -296,7 +324,7 @@ impl Bundle {
                 equations.add(by_pose.map(|(picture, _)| picture), &[row], Loss::Squared);
             }
         }
-        for (i, (value, sd)) in at.shape.priors().enumerate() {
+        for (i, (value, sd)) in at.shape.priors(at.held).enumerate() {
             let mut by_shared = DVector::zeros(shared);
             by_shared[self.free.len() + i] = weight / sd;
             let row = Row { residual: -value * weight / sd, shared: by_shared.as_slice(), own: &[] };

@@ -8,11 +8,10 @@
 //! With u and v along the board's sides from its centre, −1 to 1 at its edges, and Legendre's polynomials P:
 //! - the *bend* raises it by Σ b Pᵢ(u) Pⱼ(v), 2 ≤ i + j ≤ 4, above the plane that fits it best;
 //! - the *stretch* s makes the print (1 + s/2) times as long along x, (1 − s/2) times along y, and the *skew* its sides
-//!   not square to each other;
-//! - the *creep* shifts it in its own plane, by Σ c Pᵢ(u) Pⱼ(v), i + j = 3, along x and along y: a bent sheet becomes
-//!   shorter where it is steep, and paper is not fed evenly;
-//! - the *size* is that of a bent sheet: its prior σ is how much shorter the bend makes it if it keeps its length along
-//!   the surface.
+//!   not square to each other; how far they are believed: `print.rs`;
+//! - the *creep* shifts it in its own plane, by Σ c Pᵢ(u) Pⱼ(v), i + j = 3, along x and along y, and the *size* makes it
+//!   smaller: a bent sheet becomes shorter where it is steep. Their prior σ is how much shorter the bend makes it if it
+//!   keeps its length along the surface: nothing for a flat board.
 //!
 //! Priors keep small what pictures leave open.
 //!
@@ -31,17 +30,18 @@ const ORDERS: [(usize, usize); BENDS] =
 const BENDS: usize = 12;
 const CREEPS: usize = 4;
 pub(crate) const PARAMETERS: usize = BENDS + 3 + 2 * CREEPS;
-/// Index of the stretch, and of the bend's first term of third order.
-pub(crate) const STRETCH: usize = BENDS;
+/// Index of the stretch, with the skew behind it, and of the bend's first term of third order.
+pub(crate) const PRINT: usize = BENDS;
 const CUBIC: usize = 3;
 
 /// Prior σ of the terms of the bend of second, third and fourth order, as fractions of the board's half width: most
 /// boards are bent smoothly.
 const FLAT: [f64; 3] = [4e-3, 2e-3, 1e-3];
-/// Prior σ of stretch and skew, and of the terms of the creep as fractions of the half width.
-const SQUARE: f64 = 2e-3;
-const EVEN: f64 = 1e-4;
-/// Least prior σ of the size.
+/// Prior σ of stretch and skew until the pictures have spoken.
+pub(crate) const WIDEST: f64 = 1e-2;
+/// Prior σ of stretch and skew that are held.
+const HELD: f64 = 1e-9;
+/// Least prior σ of the size, and of the creep as a fraction of the half width.
 const SIZE: f64 = 1e-7;
 /// Places along each side at which the slope of a bent board is averaged.
 const SLOPES: usize = 7;
@@ -80,20 +80,30 @@ impl Shape {
 
     /// By which part the print is longer along x than along y.
     pub fn stretch(&self) -> f64 {
-        self.parameters[STRETCH]
+        self.parameters[PRINT]
     }
 
-    fn is_rigid(&self) -> bool {
+    /// Stretch and skew.
+    pub(crate) fn print(&self) -> [f64; 2] {
+        [self.parameters[PRINT], self.parameters[PRINT + 1]]
+    }
+
+    /// Whether it is one of a rigid set of points.
+    pub(crate) fn is_rigid(&self) -> bool {
         self.half_m() == f64::INFINITY
     }
 
-    /// Each parameter with its prior σ; arbitrary for a rigid shape, where they have no effect.
-    pub(crate) fn priors(&self) -> impl Iterator<Item = (f64, f64)> {
+    /// Each parameter's distance from its prior, with the prior's σ; arbitrary for a rigid shape, where they have no
+    /// effect. `held`: stretch and skew, if they are held.
+    pub(crate) fn priors(&self, held: Option<[f64; 2]>) -> impl Iterator<Item = (f64, f64)> {
         let half_m = if self.is_rigid() { 1.0 } else { self.half_m() };
         let bends = ORDERS.map(|(i, j)| half_m * FLAT.get(i + j - 2).unwrap_or(&1.0));
-        let print = [SQUARE, SQUARE, self.shortening().max(SIZE)];
-        let sds = bends.into_iter().chain(print).chain([EVEN * half_m; 2 * CREEPS]);
-        self.parameters.into_iter().zip(sds)
+        let shorter = self.shortening().max(SIZE);
+        let print = if held.is_some() { HELD } else { WIDEST };
+        let sds = bends.into_iter().chain([print, print, shorter]).chain([shorter * half_m; 2 * CREEPS]);
+        let mut off = self.parameters;
+        off.iter_mut().skip(PRINT).zip(held.into_iter().flatten()).for_each(|(own, held)| *own -= held);
+        off.into_iter().zip(sds)
     }
 
     /// By which part the bend makes the sheet shorter, the mean of both sides: half of its squared slope.

@@ -21,7 +21,7 @@ mod two_lenses;
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::{LeftOut, UsedPicture, left_out_lines, worst_picture};
 use crate::calibrate::bundle::pose::{pose_from_opencv, spread_rad};
-use crate::calibrate::bundle::shape::{STRETCH, Shape};
+use crate::calibrate::bundle::shape::{PRINT, Shape};
 use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::Lens;
@@ -94,7 +94,7 @@ pub struct CameraCalibration {
 impl CameraCalibration {
     /// σ of the stretch of the board's print.
     pub fn stretch_sd(&self) -> f64 {
-        self.shape_covariance[(STRETCH, STRETCH)].sqrt()
+        self.shape_covariance[(PRINT, PRINT)].sqrt()
     }
 }
 
