@@ -5,7 +5,8 @@
 //!
 //! Minimised is Σ ρ(|corner − projection| / σ) + w Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the
 //! geometry is shared by all pictures, and so is the board's shape (`shape.rs`), the six parameters of its pose belong
-//! to one picture each. σ, the noise of a corner, is estimated from the corners themselves and the whole repeated.
+//! to one picture each. σ, the noise of a corner, is estimated from the corners themselves and the whole repeated. Last,
+//! stretch and skew of the board's print are held as far as they are believed (`print.rs`).
 //!
 //! The covariance of the geometry has all poses free. It assumes that errors of pictures are independent, but not those
 //! of the corners within one, nor of pictures in which the board lies alike (`clusters.rs`): a board that is not quite
@@ -132,9 +133,6 @@ pub enum NoSolution {
     NotConverged,
 }
 
-/// See [`Bundle::held`].
-type Held = (Believed, State, f64, Clustered);
-
 /// State of the search.
 #[derive(Clone)]
 struct State {
@@ -166,11 +164,8 @@ impl Bundle {
         }
         // The board's shape comes last.
         let free = self.free.len();
-        if let Some((print, next, next_sd_px, mut next_known)) = self.held(&at, sd_px, &known, prior_weight) {
-            for all in [&mut next_known.covariance, &mut next_known.noise, &mut next_known.weighted] {
-                *all += &print.covariance;
-            }
-            (at, sd_px, known) = (next, next_sd_px, next_known);
+        if let Some(held) = self.held(&at, sd_px, &known, prior_weight) {
+            (at, sd_px, known) = held;
         }
         let of_free = |all: &DMatrix<f64>| all.view((0, 0), (free, free)).into_owned();
         Ok(Solution {
@@ -192,18 +187,21 @@ impl Bundle {
         })
     }
 
-    /// With stretch and skew of the print held where they are believed to be: these, the state, the noise of a corner,
-    /// and the uncertainty without theirs. `None` for a rigid set of points, or if the search fails: the solution with
-    /// both as found stands, its σ holds.
-    fn held(&self, at: &State, sd_px: f64, known: &Clustered, prior_weight: f64) -> Option<Held> {
+    /// With stretch and skew of the print where they are believed to be: the state, the noise of a corner, and the
+    /// uncertainty. `None` for a rigid set of points, or if the search fails: the solution with both as found stands,
+    /// its σ holds.
+    fn held(&self, at: &State, sd_px: f64, found: &Clustered, prior_weight: f64) -> Option<(State, f64, Clustered)> {
         if at.shape.is_rigid() {
             return None;
         }
-        let print = Believed::of(known, at.shape.print(), self.free.len())?;
+        let print = Believed::of(found, at.shape.print(), self.free.len())?;
         let start = State { held: Some(print.print), ..at.clone() };
         let (next, sd_px) = self.searched(sd_px, prior_weight, start).ok()?;
-        let known = self.clustered(&next, sd_px, prior_weight).ok()?;
-        Some((print, next, sd_px, known))
+        let mut known = self.clustered(&next, sd_px, prior_weight).ok()?;
+        for all in [&mut known.covariance, &mut known.noise, &mut known.weighted] {
+            *all += &print.covariance;
+        }
+        Some((next, sd_px, known))
     }
 
     /// As [`Self::solve`], without covariances: the end of the search, as the start of another.
