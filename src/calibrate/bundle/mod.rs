@@ -195,9 +195,12 @@ impl Bundle {
             return None;
         }
         let print = Believed::of(found, at.shape.print(), self.free.len())?;
-        let start = State { held: Some(print.print), ..at.clone() };
-        let (next, sd_px) = self.searched(sd_px, prior_weight, start).ok()?;
-        let mut known = self.clustered(&next, sd_px, prior_weight).ok()?;
+        // Of everything else, the uncertainty where it fits best: what is not believed of stretch and skew is no error
+        // of the pictures.
+        let mut held = State { held: Some(at.shape.print()), ..at.clone() };
+        let mut known = self.clustered(&held, sd_px, prior_weight).ok()?;
+        held.held = Some(print.print);
+        let (next, sd_px) = self.searched(sd_px, prior_weight, held).ok()?;
         for all in [&mut known.covariance, &mut known.noise, &mut known.weighted] {
             *all += &print.covariance;
         }
@@ -543,6 +546,17 @@ pub(super) mod tests {
         }
     }
 
+    /// Shows a board of this shape: corners are displaced as seen from the approximate poses of a flat one.
+    fn show(bundle: &mut Bundle, truth: &Geometry, shape: &Shape) {
+        let projector = Projector::new(truth, &[]);
+        let flat = bundle.clone().solve().unwrap();
+        for corner in &mut bundle.corners {
+            let pose = flat.poses[corner.picture];
+            let of = |place: Point3<f64>| projector.pixel(corner.view, &(pose * place)).unwrap();
+            corner.pixel += of(shape.place(&corner.place)) - of(corner.place);
+        }
+    }
+
     /// A bent board is recognised: the bend is found to within its σ, and the geometry is as good as with a flat one.
     #[test]
     fn a_bent_board_is_found_and_does_not_bend_the_geometry() {
@@ -552,15 +566,8 @@ pub(super) mod tests {
         for seed in 0..RUNS {
             let mut bundle = bundle(&truth, 0.02, 1.0, 700 + seed);
             let bent = bundle.shape.stepped(&[2e-4, -1e-4, 1e-4]);
-            let projector = Projector::new(&truth, &[]);
-            let mut flat = bundle.clone().solve().unwrap();
-            // Displacement by the bend in each picture, seen from the approximate pose of its board.
-            for corner in &mut bundle.corners {
-                let pose = flat.poses[corner.picture];
-                let of = |place: Point3<f64>| projector.pixel(corner.view, &(pose * place)).unwrap();
-                corner.pixel += of(bent.place(&corner.place)) - of(corner.place);
-            }
-            flat = bundle.solve().unwrap();
+            show(&mut bundle, &truth, &bent);
+            let flat = bundle.solve().unwrap();
             for i in 0..3 {
                 let off = flat.shape.bend_m()[i] - bent.bend_m()[i];
                 of_shape += off * off / flat.shape_covariance[(i, i)] / (3 * RUNS) as f64;
@@ -572,5 +579,37 @@ pub(super) mod tests {
         }
         println!("z RMS {:.2} of the shape, {:.2} of the geometry", of_shape.sqrt(), of_geometry.sqrt());
         assert!((0.7..1.35).contains(&of_shape.sqrt()) && (0.7..1.3).contains(&of_geometry.sqrt()));
+    }
+
+    /// A print stretched clearly, hardly visibly, or not at all leaves the geometry as good as its σ, which is that of a
+    /// square one, whichever it is.
+    #[test]
+    fn a_stretched_print_does_not_stretch_the_geometry() {
+        const RUNS: u64 = 12;
+        let truth = geometry();
+        let mut of_square_m = 0.0;
+        for stretch in [0.0, 1e-3, 3e-3, 1e-2] {
+            let (mut squares, mut sd_m) = (0.0, 0.0);
+            for seed in 0..RUNS {
+                let mut bundle = bundle(&truth, 0.1, 1.0, 800 + seed);
+                let mut step = [0.0; shape::PARAMETERS];
+                step[shape::PRINT] = stretch;
+                let stretched = bundle.shape.stepped(&step);
+                show(&mut bundle, &truth, &stretched);
+                let solved = bundle.solve().unwrap();
+                let off = error(&solved, &truth);
+                squares += (0..off.len()).map(|i| off[i].powi(2) / solved.covariance[(i, i)]).sum::<f64>()
+                    / (off.len() as u64 * RUNS) as f64;
+                let mirror = solved.free.iter().position(|p| *p == Parameter::Offset { surface: 1 }).unwrap();
+                sd_m += solved.covariance[(mirror, mirror)].sqrt() / RUNS as f64;
+            }
+            let z = squares.sqrt();
+            println!("stretched by {stretch}: z RMS {z:.2}, σ of the mirror {:.2} mm", 1e3 * sd_m);
+            assert!((0.7..1.3).contains(&z), "stretched by {stretch}: {z}");
+            if stretch == 0.0 {
+                of_square_m = sd_m;
+            }
+            assert!(sd_m < 1.1 * of_square_m, "stretched by {stretch}: {sd_m} m, {of_square_m} m of a square print");
+        }
     }
 }

@@ -9,9 +9,10 @@
 //! - the *bend* raises it by Σ b Pᵢ(u) Pⱼ(v), 2 ≤ i + j ≤ 4, above the plane that fits it best;
 //! - the *stretch* s makes the print (1 + s/2) times as long along x, (1 − s/2) times along y, and the *skew* its sides
 //!   not square to each other; how far they are believed: `print.rs`;
-//! - the *creep* shifts it in its own plane, by Σ c Pᵢ(u) Pⱼ(v), i + j = 3, along x and along y, and the *size* makes it
-//!   smaller: a bent sheet becomes shorter where it is steep. Their prior σ is how much shorter the bend makes it if it
-//!   keeps its length along the surface: nothing for a flat board.
+//! - the *creep* shifts it in its own plane, by Σ c Pᵢ(u) Pⱼ(v), i + j = 3, along x and along y: a bent sheet becomes
+//!   shorter where it is steep, and paper is not fed evenly;
+//! - the *size* is that of a bent sheet: its prior σ is how much shorter the bend makes it if it keeps its length along
+//!   the surface.
 //!
 //! Priors keep small what pictures leave open.
 //!
@@ -41,7 +42,9 @@ const FLAT: [f64; 3] = [4e-3, 2e-3, 1e-3];
 pub(crate) const WIDEST: f64 = 1e-2;
 /// Prior σ of stretch and skew that are held.
 const HELD: f64 = 1e-9;
-/// Least prior σ of the size, and of the creep as a fraction of the half width.
+/// Prior σ of the terms of the creep, as fractions of the half width.
+const EVEN: f64 = 1e-4;
+/// Least prior σ of the size.
 const SIZE: f64 = 1e-7;
 /// Places along each side at which the slope of a bent board is averaged.
 const SLOPES: usize = 7;
@@ -98,9 +101,9 @@ impl Shape {
     pub(crate) fn priors(&self, held: Option<[f64; 2]>) -> impl Iterator<Item = (f64, f64)> {
         let half_m = if self.is_rigid() { 1.0 } else { self.half_m() };
         let bends = ORDERS.map(|(i, j)| half_m * FLAT.get(i + j - 2).unwrap_or(&1.0));
-        let shorter = self.shortening().max(SIZE);
         let print = if held.is_some() { HELD } else { WIDEST };
-        let sds = bends.into_iter().chain([print, print, shorter]).chain([shorter * half_m; 2 * CREEPS]);
+        let print = [print, print, self.shortening().max(SIZE)];
+        let sds = bends.into_iter().chain(print).chain([EVEN * half_m; 2 * CREEPS]);
         let mut off = self.parameters;
         off.iter_mut().skip(PRINT).zip(held.into_iter().flatten()).for_each(|(own, held)| *own -= held);
         off.into_iter().zip(sds)
