@@ -7,7 +7,7 @@
 //! open, a stretch takes up the same as a focal length or a mirror's distance. A prior of one width is wrong either way:
 //! a narrow one leaves the error of a stretched print in the lens, a wide one spoils σ of all square ones, to twice its
 //! size. Nor may a test decide: a stretch just too small for it would go unnoticed. The prior is therefore a mixture
-//! Σ w N(0, τ²) of [`PRINTS`], and all of its parts count, each as much as the pictures speak for it.
+//! Σ w N(0, τ²) of [`KINDS`] of prints, and all of its parts count, each as much as the pictures speak for it.
 //!
 //! With everything else free the pictures say ŝ, with variance v, and so does the posterior's part of width τ:
 //! precision p = 1/v + 1/τ² − 1/WIDEST², mean ŝ/(v p), weight ∝ w/(τ √p) exp(ŝ²/(2 v² p)). The variance of the whole
@@ -22,9 +22,12 @@ use super::clusters::Clustered;
 use super::shape::{PRINT, WIDEST};
 use nalgebra::{DMatrix, Vector2};
 
-/// Of which prints there are how many: σ of their stretch and skew, and their share. Half are square, others stretched as
-/// printers do, hundredths to tenths of a per cent, each as likely, and one in fifty by up to a whole one.
-const PRINTS: [(f64, f64); 5] = [(1e-5, 0.5), (3e-4, 0.16), (1e-3, 0.16), (3e-3, 0.16), (1e-2, 0.02)];
+/// σ of stretch or skew of the kinds of prints.
+const KINDS: [f64; 5] = [1e-5, 3e-4, 1e-3, 3e-3, WIDEST];
+/// How many there are of each kind. Half are not stretched, the others as printers stretch: hundredths to tenths of a
+/// per cent, each as likely, and one in fifty by up to a whole one. Skew is rarer, and less.
+const STRETCHED: [f64; 5] = [0.5, 0.16, 0.16, 0.16, 0.02];
+const SKEWED: [f64; 5] = [0.8, 0.07, 0.07, 0.05, 0.01];
 
 /// Stretch and skew as believed.
 pub(super) struct Believed {
@@ -41,10 +44,10 @@ impl Believed {
         let (mut print, mut covariance) =
             (Vector2::from(found), known.covariance.fixed_view::<2, 2>(at, at).into_owned());
         // One after the other: what is learned of the stretch moves the skew.
-        for i in 0..2 {
+        for (i, shares) in [STRETCHED, SKEWED].iter().enumerate() {
             let by = own.column(i) / own[(i, i)];
             let with = covariance.column(i).into_owned();
-            let (mean, variance) = posterior(print[i], with[i]);
+            let (mean, variance) = posterior(print[i], with[i], shares);
             print += by * (mean - print[i]);
             covariance += by * by.transpose() * (with[i] + variance) - by * with.transpose() - with * by.transpose();
         }
@@ -53,16 +56,17 @@ impl Believed {
     }
 }
 
-/// Mean and variance of a value that was found under a prior of [`WIDEST`], with this variance.
-fn posterior(found: f64, variance: f64) -> (f64, f64) {
+/// Mean and variance of a value that was found under a prior of [`WIDEST`], with this variance; `shares`: of the kinds.
+fn posterior(found: f64, variance: f64, shares: &[f64; 5]) -> (f64, f64) {
     let pull = found / variance;
-    let parts = PRINTS.map(|(sd, share)| {
+    let part = |(sd, share): (f64, f64)| {
         let precision = 1.0 / variance + 1.0 / (sd * sd) - 1.0 / (WIDEST * WIDEST);
         let log_weight = (share / sd).ln() - precision.ln() / 2.0 + pull * pull / precision / 2.0;
         (log_weight, pull / precision, 1.0 / precision)
-    });
+    };
+    let parts: Vec<(f64, f64, f64)> = KINDS.into_iter().zip(*shares).map(part).collect();
     let most = parts.iter().map(|part| part.0).fold(f64::NEG_INFINITY, f64::max);
-    let weights = parts.map(|(log_weight, ..)| (log_weight - most).exp());
+    let weights: Vec<f64> = parts.iter().map(|part| (part.0 - most).exp()).collect();
     let mean_of = |of: fn(f64, f64) -> f64| {
         let sum: f64 =
             weights.iter().zip(&parts).map(|(weight, (_, mean, variance))| weight * of(*mean, *variance)).sum();
@@ -85,7 +89,7 @@ mod tests {
         let (mut whole, mut first, mut second) = (0.0, 0.0, 0.0);
         for i in -400_000..=400_000 {
             let s = f64::from(i) * 1e-7;
-            let prior: f64 = PRINTS.iter().map(|(sd, share)| share * normal(s, sd * sd)).sum();
+            let prior: f64 = KINDS.iter().zip(STRETCHED).map(|(sd, share)| share * normal(s, sd * sd)).sum();
             let weight = prior * normal(s - says, alone);
             (whole, first, second) = (whole + weight, first + weight * s, second + weight * s * s);
         }
@@ -95,7 +99,8 @@ mod tests {
     #[test]
     fn what_is_believed_is_prior_times_likelihood() {
         for (found, sd) in [(0.0, 5e-4), (1e-3, 5e-4), (1.5e-3, 5e-4), (-4e-3, 1e-3), (2e-4, 1e-4), (3e-3, 6e-3)] {
-            let ((mean, variance), (expected, spread)) = (posterior(found, sd * sd), integrated(found, sd * sd));
+            let ((mean, variance), (expected, spread)) =
+                (posterior(found, sd * sd, &STRETCHED), integrated(found, sd * sd));
             assert!((mean - expected).abs() < 1e-3 * spread.sqrt(), "{found} {sd}: {mean}, {expected}");
             assert!((variance / spread - 1.0).abs() < 1e-3, "{found} {sd}: {variance}, {spread}");
         }
@@ -105,13 +110,13 @@ mod tests {
     #[test]
     fn no_stretch_leaves_its_deviation_behind() {
         let sd = 5e-4;
-        let (mean, variance) = posterior(0.0, sd * sd);
+        let (mean, variance) = posterior(0.0, sd * sd, &STRETCHED);
         assert!(mean == 0.0 && variance.sqrt() < 0.5 * sd, "{variance}");
-        let (mean, variance) = posterior(5e-3, sd * sd);
+        let (mean, variance) = posterior(5e-3, sd * sd, &STRETCHED);
         assert!((mean - 5e-3).abs() < 0.25 * sd && (variance.sqrt() / sd - 1.0).abs() < 0.05, "{mean} {variance}");
         for times in 0..80 {
             let found = f64::from(times) * 0.1 * sd;
-            let (mean, variance) = posterior(found, sd * sd);
+            let (mean, variance) = posterior(found, sd * sd, &STRETCHED);
             assert!((found - mean).powi(2) < variance + sd * sd, "{times}: {mean} {variance}");
         }
     }
