@@ -5,8 +5,8 @@
 //!
 //! Minimised is Σ ρ(|corner − projection| / σ) + w Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the
 //! geometry is shared by all pictures, and so is the board's shape (`shape.rs`), the six parameters of its pose belong
-//! to one picture each. σ, the noise of a corner, is estimated from the corners themselves and the whole repeated. Last,
-//! stretch and skew of the board's print are held as far as they are believed (`print.rs`).
+//! to one picture each. σ, the noise of a corner, is estimated from the corners themselves and the whole repeated.
+//! Last, stretch and skew of the board's print are held as far as they are believed (`print.rs`).
 //!
 //! The covariance of the geometry has all poses free. It assumes that errors of pictures are independent, but not those
 //! of the corners within one, nor of pictures in which the board lies alike (`clusters.rs`): a board that is not quite
@@ -581,8 +581,8 @@ pub(super) mod tests {
         assert!((0.7..1.35).contains(&of_shape.sqrt()) && (0.7..1.3).contains(&of_geometry.sqrt()));
     }
 
-    /// A print stretched clearly, hardly visibly, or not at all leaves the geometry as good as its σ, which is that of a
-    /// square one, whichever it is.
+    /// A print stretched clearly, hardly visibly, or not at all leaves the geometry as good as its σ, which is that of
+    /// a square one, whichever it is.
     #[test]
     fn a_stretched_print_does_not_stretch_the_geometry() {
         const RUNS: u64 = 12;

@@ -3,10 +3,10 @@
 //! In: the adjustment with stretch and skew as free as [`WIDEST`]. Out: their values and covariance, and what this
 //! adds to the covariance of everything else when they are held there.
 //!
-//! Most prints are square as far as pictures can tell; some are stretched, by up to a per cent. Where pictures leave it
-//! open, a stretch takes up the same as a focal length or a mirror's distance. A prior of one width is wrong either way:
-//! a narrow one leaves the error of a stretched print in the lens, a wide one spoils σ of all square ones, to twice its
-//! size. Nor may a test decide: a stretch just too small for it would go unnoticed. The prior is therefore a mixture
+//! Many prints are square as far as pictures can tell; some are stretched, by up to a per cent. Where pictures leave
+//! it open, a stretch takes up the same as a focal length or a mirror's distance. A prior of one width is wrong either
+//! way: a narrow one leaves the error of a stretched print in the lens, a wide one spoils σ of all square ones, to
+//! twice its size. Nor may a test decide: a stretch just too small for it would go unnoticed. The prior is therefore a mixture
 //! Σ w N(0, τ²) of [`KINDS`] of prints, and all of its parts count, each as much as the pictures speak for it.
 //!
 //! With everything else free the pictures say ŝ, with variance v, and so does the posterior's part of width τ:
@@ -56,7 +56,7 @@ impl Believed {
     }
 }
 
-/// Mean and variance of a value that was found under a prior of [`WIDEST`], with this variance; `shares`: of the kinds.
+/// Mean and variance of a value found with this variance under a prior of [`WIDEST`]; `shares`: of the kinds.
 fn posterior(found: f64, variance: f64, shares: &[f64; 5]) -> (f64, f64) {
     let pull = found / variance;
     let part = |(sd, share): (f64, f64)| {

@@ -1,7 +1,7 @@
 //! [`Shape`]: the board's deviation from a flat one with square squares.
 //!
-//! A board of paper on wood or card is bent by some tenths of a per cent of its width, like a bow, an S or with a lifted
-//! corner, and printers stretch by some thousandths along the paper's feed. All pictures show it, and if it is not
+//! A board of paper on wood or card is bent by some tenths of a per cent of its width, like a bow, an S or with a
+//! lifted corner, and printers stretch by some thousandths along the paper's feed. All pictures show it, and if it is not
 //! allowed for the lens absorbs it: focal length and principal point are wrong by more than noise explains, in the same
 //! way for every half of the pictures. Boards tilted to several sides separate it from the lens.
 //!
