@@ -3,11 +3,11 @@
 //! In: the adjustment with stretch and skew as free as [`WIDEST`]. Out: their values and covariance, and what this
 //! adds to the covariance of everything else when they are held there.
 //!
-//! Many prints are square as far as pictures can tell; some are stretched, by up to a per cent. Where pictures leave
-//! it open, a stretch takes up the same as a focal length or a mirror's distance. A prior of one width is wrong either
+//! Many prints are square as far as pictures can tell; some are stretched, by up to a per cent. Where pictures leave it
+//! open, a stretch takes up the same as a focal length or a mirror's distance. A prior of one width is wrong either
 //! way: a narrow one leaves the error of a stretched print in the lens, a wide one spoils σ of all square ones, to
-//! twice its size. Nor may a test decide: a stretch just too small for it would go unnoticed. The prior is therefore a mixture
-//! Σ w N(0, τ²) of [`KINDS`] of prints, and all of its parts count, each as much as the pictures speak for it.
+//! twice its size. Nor may a test decide: a stretch just too small for it would go unnoticed. The prior is therefore a
+//! mixture Σ w N(0, τ²) of [`KINDS`] of prints, and all of its parts count, each as much as the pictures speak for it.
 //!
 //! With everything else free the pictures say ŝ, with variance v, and so does the posterior's part of width τ:
 //! precision p = 1/v + 1/τ² − 1/WIDEST², mean ŝ/(v p), weight ∝ w/(τ √p) exp(ŝ²/(2 v² p)). The variance of the whole

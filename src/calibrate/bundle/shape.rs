@@ -1,9 +1,9 @@
 //! [`Shape`]: the board's deviation from a flat one with square squares.
 //!
 //! A board of paper on wood or card is bent by some tenths of a per cent of its width, like a bow, an S or with a
-//! lifted corner, and printers stretch by some thousandths along the paper's feed. All pictures show it, and if it is not
-//! allowed for the lens absorbs it: focal length and principal point are wrong by more than noise explains, in the same
-//! way for every half of the pictures. Boards tilted to several sides separate it from the lens.
+//! lifted corner, and printers stretch by some thousandths along the paper's feed. All pictures show it, and if it is
+//! not allowed for the lens absorbs it: focal length and principal point are wrong by more than noise explains, in the
+//! same way for every half of the pictures. Boards tilted to several sides separate it from the lens.
 //!
 //! With u and v along the board's sides from its centre, −1 to 1 at its edges, and Legendre's polynomials P:
 //! - the *bend* raises it by Σ b Pᵢ(u) Pⱼ(v), 2 ≤ i + j ≤ 4, above the plane that fits it best;

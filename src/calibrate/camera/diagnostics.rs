@@ -100,7 +100,8 @@ pub enum CameraDiagnostic {
     /// A print whose squares are not square.
     #[error(
         "the print is stretched: along its rows it is longer by {percent:.2} ± {sd_percent:.2} % than along its \
-         columns. It is allowed for, with the mean of both sides as stated; measure the grid, and print it again, without scaling"
+         columns. It is allowed for, with the mean of both sides as stated; measure the grid, and print it again, \
+         without scaling"
     )]
     Stretched {
         /// Longer along rows by so many per cent; negative if along columns.
