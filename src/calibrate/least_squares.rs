@@ -194,6 +194,14 @@ fn raise_diagonal(matrix: &mut DMatrix<f64>, damping: f64) {
     }
 }
 
+/// χ² of so many values, as standard deviations of one (Fisher's approximation).
+pub(crate) fn sigmas(chi2: f64, values: usize) -> f64 {
+    match values {
+        0 | 1 => chi2.sqrt(),
+        n => ((2.0 * chi2).sqrt() - (2.0 * n as f64 - 1.0).sqrt()).max(0.0),
+    }
+}
+
 /// When a search ends.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct End {

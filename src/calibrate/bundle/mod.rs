@@ -4,8 +4,9 @@
 //! every corner.
 //!
 //! Minimised is Σ ρ(|corner − projection| / σ) + w Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the
-//! geometry is shared by all pictures, and so is the board's bend (`shape.rs`), the six parameters of its pose belong
+//! geometry is shared by all pictures, and so is the board's shape (`shape.rs`), the six parameters of its pose belong
 //! to one picture each. σ, the noise of a corner, is estimated from the corners themselves and the whole repeated.
+//! Last, stretch and skew of the board's print are held as far as they are believed (`print.rs`).
 //!
 //! The covariance of the geometry has all poses free. It assumes that errors of pictures are independent, but not those
 //! of the corners within one, nor of pictures in which the board lies alike (`clusters.rs`): a board that is not quite
@@ -15,6 +16,7 @@
 pub(crate) mod clusters;
 pub(crate) mod outliers;
 pub(crate) mod pose;
+mod print;
 pub(crate) mod prior;
 pub(crate) mod shape;
 
@@ -24,8 +26,9 @@ use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{End, Equations, Loss, Row, SearchError, Step, minimise};
 use crate::median::upper_median;
 use crate::optics::NoRay;
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point2, Point3, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2, Vector3};
 use pose::{by_pose, turned};
+use print::Believed;
 use shape::Shape;
 
 /// Corners further off than this many σ are not used to estimate σ.
@@ -107,8 +110,8 @@ pub struct Solution {
     pub known: Vec<Prior>,
     /// The board's shape.
     pub shape: Shape,
-    /// Covariance of its bend, m².
-    pub shape_covariance: Matrix3<f64>,
+    /// Covariance of its bend, and of its stretch, the last.
+    pub shape_covariance: DMatrix<f64>,
 }
 
 /// Why there is no solution.
@@ -136,6 +139,8 @@ struct State {
     geometry: Geometry,
     poses: Vec<Isometry3<f64>>,
     shape: Shape,
+    /// Stretch and skew of the print, if they are held.
+    held: Option<[f64; 2]>,
 }
 
 impl Bundle {
@@ -157,15 +162,18 @@ impl Bundle {
             let Ok(next_known) = self.clustered(&next, next_sd_px, weight) else { break };
             (at, sd_px, known, prior_weight) = (next, next_sd_px, next_known, weight);
         }
-        // The board's bend comes last.
+        // The board's shape comes last.
         let free = self.free.len();
+        if let Some(held) = self.held(&at, sd_px, &known, prior_weight) {
+            (at, sd_px, known) = held;
+        }
         let of_free = |all: &DMatrix<f64>| all.view((0, 0), (free, free)).into_owned();
         Ok(Solution {
             covariance: of_free(&known.covariance),
             noise_covariance: of_free(&known.noise),
             weighted_covariance: of_free(&known.weighted),
             shape: at.shape,
-            shape_covariance: known.covariance.fixed_view::<3, 3>(free, free).into_owned(),
+            shape_covariance: known.covariance.view((free, free), (shape::PARAMETERS, shape::PARAMETERS)).into_owned(),
             clusters: self.clusters(&at),
             parts: known.parts,
             design_effect: known.design_effect,
@@ -179,12 +187,32 @@ impl Bundle {
         })
     }
 
+    /// With stretch and skew of the print where they are believed to be: the state, the noise of a corner, and the
+    /// uncertainty. `None` for a rigid set of points, or if the search fails: the solution with both as found stands,
+    /// its σ holds.
+    fn held(&self, at: &State, sd_px: f64, found: &Clustered, prior_weight: f64) -> Option<(State, f64, Clustered)> {
+        if at.shape.is_rigid() {
+            return None;
+        }
+        let print = Believed::of(found, at.shape.print(), self.free.len())?;
+        // Of everything else, the uncertainty where it fits best: what is not believed of stretch and skew is no error
+        // of the pictures.
+        let mut held = State { held: Some(at.shape.print()), ..at.clone() };
+        let mut known = self.clustered(&held, sd_px, prior_weight).ok()?;
+        held.held = Some(print.print);
+        let (next, sd_px) = self.searched(sd_px, prior_weight, held).ok()?;
+        for all in [&mut known.covariance, &mut known.noise, &mut known.weighted] {
+            *all += &print.covariance;
+        }
+        Some((next, sd_px, known))
+    }
+
     /// As [`Self::solve`], without covariances: the end of the search, as the start of another.
     ///
     /// # Errors
     /// As [`Self::solve`].
     pub(crate) fn search(self) -> Result<Self, NoSolution> {
-        let (State { geometry, poses, shape }, _) = self.searched(START_SD_PX, 1.0, self.start())?;
+        let (State { geometry, poses, shape, .. }, _) = self.searched(START_SD_PX, 1.0, self.start())?;
         Ok(Self { geometry, poses, shape, ..self })
     }
 
@@ -194,7 +222,7 @@ impl Bundle {
     }
 
     fn start(&self) -> State {
-        State { geometry: self.geometry.clone(), poses: self.poses.clone(), shape: self.shape }
+        State { geometry: self.geometry.clone(), poses: self.poses.clone(), shape: self.shape, held: None }
     }
 
     /// The minimum cost, and the noise of a corner there; `sd_px` is the noise assumed initially.
@@ -230,6 +258,7 @@ impl Bundle {
             geometry: at.geometry.stepped(&self.free, by_geometry),
             poses: at.poses.iter().zip(&step.own).map(pose).collect(),
             shape: at.shape.stepped(by_shape),
+            held: at.held,
         }
     }
 
@@ -251,7 +280,7 @@ impl Bundle {
 
     /// σ of a corner's coordinate: first from the median of the residuals, then from all that are not outliers by that.
     fn noise(&self, residuals_px: &[Vector2<f64>]) -> f64 {
-        let unknowns = self.free.len() + 3 + 6 * self.poses.len();
+        let unknowns = self.free.len() + shape::PARAMETERS + 6 * self.poses.len();
         let coordinates = (2 * residuals_px.len()) as f64;
         let freedom = (coordinates - unknowns as f64).max(1.0) / coordinates;
         let in_own = |(r, corner): (&Vector2<f64>, &Corner)| r.norm_squared() / corner.relative_sd.powi(2);
@@ -265,7 +294,8 @@ impl Bundle {
     }
 
     fn equations(&self, at: &State, sd_px: f64, prior_weight: f64) -> Result<Equations, NoSolution> {
-        let mut equations = Equations::new(self.free.len() + 3, at.poses.iter().map(|_| 6));
+        let shared = self.free.len() + shape::PARAMETERS;
+        let mut equations = Equations::new(shared, at.poses.iter().map(|_| 6));
         let projector = Projector::new(&at.geometry, &self.free);
         for corner in &self.corners {
             let sd_px = sd_px * corner.relative_sd;
@@ -273,8 +303,8 @@ impl Bundle {
             let place = at.shape.place(&corner.place);
             let seen = projector.seen(corner.view, &(pose * place)).map_err(|why| self.unseen(corner, why))?;
             let residual = (corner.pixel - seen.pixel) / sd_px;
-            let by_rise = seen.d_point * (pose.rotation * Vector3::z());
-            let by_shape = at.shape.rises(&corner.place).map(|rise| by_rise * rise);
+            let by_place = seen.d_point * pose.rotation.to_rotation_matrix().into_inner();
+            let by_shape: Vec<Vector2<f64>> = at.shape.moves(&corner.place).map(|by| by_place * by).collect();
             let by_shared = [0, 1]
                 .map(|axis| seen.d_parameters.iter().chain(&by_shape).map(|d| d[axis] / sd_px).collect::<Vec<_>>());
             let by_pose = [0, 1].map(|axis| {
@@ -288,22 +318,18 @@ impl Bundle {
         let weight = prior_weight.sqrt();
         for known in &self.known {
             for Equation { residual, by_geometry, by_pose } in known.rows(&at.geometry, &at.poses, &self.free) {
-                let by_shared = (by_geometry * weight).resize_vertically(self.free.len() + 3, 0.0);
+                let by_shared = (by_geometry * weight).resize_vertically(shared, 0.0);
                 let by_pose = by_pose.map(|(picture, by_pose)| (picture, by_pose * weight));
                 let own = by_pose.as_ref().map_or(&[][..], |(_, by_pose)| by_pose.as_slice());
                 let row = Row { residual: residual * weight, shared: by_shared.as_slice(), own };
                 equations.add(by_pose.map(|(picture, _)| picture), &[row], Loss::Squared);
             }
         }
-        for (i, bend_m) in at.shape.bend_m.into_iter().enumerate() {
-            let to_sd = weight / at.shape.prior_sd_m();
-            let mut by_shared = DVector::zeros(self.free.len() + 3);
-            by_shared[self.free.len() + i] = to_sd;
-            equations.add(
-                None,
-                &[Row { residual: -bend_m * to_sd, shared: by_shared.as_slice(), own: &[] }],
-                Loss::Squared,
-            );
+        for (i, (value, sd)) in at.shape.priors(at.held).enumerate() {
+            let mut by_shared = DVector::zeros(shared);
+            by_shared[self.free.len() + i] = weight / sd;
+            let row = Row { residual: -value * weight / sd, shared: by_shared.as_slice(), own: &[] };
+            equations.add(None, &[row], Loss::Squared);
         }
         Ok(equations)
     }
@@ -520,6 +546,17 @@ pub(super) mod tests {
         }
     }
 
+    /// Shows a board of this shape: corners are displaced as seen from the approximate poses of a flat one.
+    fn show(bundle: &mut Bundle, truth: &Geometry, shape: &Shape) {
+        let projector = Projector::new(truth, &[]);
+        let flat = bundle.clone().solve().unwrap();
+        for corner in &mut bundle.corners {
+            let pose = flat.poses[corner.picture];
+            let of = |place: Point3<f64>| projector.pixel(corner.view, &(pose * place)).unwrap();
+            corner.pixel += of(shape.place(&corner.place)) - of(corner.place);
+        }
+    }
+
     /// A bent board is recognised: the bend is found to within its σ, and the geometry is as good as with a flat one.
     #[test]
     fn a_bent_board_is_found_and_does_not_bend_the_geometry() {
@@ -528,18 +565,11 @@ pub(super) mod tests {
         let (mut of_shape, mut of_geometry) = (0.0, 0.0);
         for seed in 0..RUNS {
             let mut bundle = bundle(&truth, 0.02, 1.0, 700 + seed);
-            let bent = Shape { bend_m: [2e-4, -1e-4, 1e-4], ..bundle.shape };
-            let projector = Projector::new(&truth, &[]);
-            let mut flat = bundle.clone().solve().unwrap();
-            // Displacement by the bend in each picture, seen from the approximate pose of its board.
-            for corner in &mut bundle.corners {
-                let pose = flat.poses[corner.picture];
-                let of = |place: Point3<f64>| projector.pixel(corner.view, &(pose * place)).unwrap();
-                corner.pixel += of(bent.place(&corner.place)) - of(corner.place);
-            }
-            flat = bundle.solve().unwrap();
+            let bent = bundle.shape.stepped(&[2e-4, -1e-4, 1e-4]);
+            show(&mut bundle, &truth, &bent);
+            let flat = bundle.solve().unwrap();
             for i in 0..3 {
-                let off = flat.shape.bend_m[i] - bent.bend_m[i];
+                let off = flat.shape.bend_m()[i] - bent.bend_m()[i];
                 of_shape += off * off / flat.shape_covariance[(i, i)] / (3 * RUNS) as f64;
             }
             let off = error(&flat, &truth);
@@ -549,5 +579,37 @@ pub(super) mod tests {
         }
         println!("z RMS {:.2} of the shape, {:.2} of the geometry", of_shape.sqrt(), of_geometry.sqrt());
         assert!((0.7..1.35).contains(&of_shape.sqrt()) && (0.7..1.3).contains(&of_geometry.sqrt()));
+    }
+
+    /// A print stretched clearly, hardly visibly, or not at all leaves the geometry as good as its σ, which is that of
+    /// a square one, whichever it is.
+    #[test]
+    fn a_stretched_print_does_not_stretch_the_geometry() {
+        const RUNS: u64 = 12;
+        let truth = geometry();
+        let mut of_square_m = 0.0;
+        for stretch in [0.0, 1e-3, 3e-3, 1e-2] {
+            let (mut squares, mut sd_m) = (0.0, 0.0);
+            for seed in 0..RUNS {
+                let mut bundle = bundle(&truth, 0.1, 1.0, 800 + seed);
+                let mut step = [0.0; shape::PARAMETERS];
+                step[shape::PRINT] = stretch;
+                let stretched = bundle.shape.stepped(&step);
+                show(&mut bundle, &truth, &stretched);
+                let solved = bundle.solve().unwrap();
+                let off = error(&solved, &truth);
+                squares += (0..off.len()).map(|i| off[i].powi(2) / solved.covariance[(i, i)]).sum::<f64>()
+                    / (off.len() as u64 * RUNS) as f64;
+                let mirror = solved.free.iter().position(|p| *p == Parameter::Offset { surface: 1 }).unwrap();
+                sd_m += solved.covariance[(mirror, mirror)].sqrt() / RUNS as f64;
+            }
+            let z = squares.sqrt();
+            println!("stretched by {stretch}: z RMS {z:.2}, σ of the mirror {:.2} mm", 1e3 * sd_m);
+            assert!((0.7..1.3).contains(&z), "stretched by {stretch}: {z}");
+            if stretch == 0.0 {
+                of_square_m = sd_m;
+            }
+            assert!(sd_m < 1.1 * of_square_m, "stretched by {stretch}: {sd_m} m, {of_square_m} m of a square print");
+        }
     }
 }

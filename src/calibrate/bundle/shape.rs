@@ -1,70 +1,182 @@
-//! [`Shape`]: the board's deviation from flatness.
+//! [`Shape`]: the board's deviation from a flat one with square squares.
 //!
-//! A board of paper on wood or card is bent by some tenths of a per cent of its width. All pictures show it, and if the
-//! board is assumed flat the lens absorbs it: focal length and principal point are wrong by more than noise explains,
-//! in the same way for every half of the pictures. Boards tilted to several sides separate the bend from the lens.
+//! A board of paper on wood or card is bent by some tenths of a per cent of its width, like a bow, an S or with a
+//! lifted corner, and printers stretch by some thousandths along the paper's feed. All pictures show it, and if it is
+//! not allowed for the lens absorbs it: focal length and principal point are wrong by more than noise explains, in the
+//! same way for every half of the pictures. Boards tilted to several sides separate it from the lens.
 //!
-//! z = a u² + b u v + c v², u and v along the board's sides from its centre, in units of its half width.
+//! With u and v along the board's sides from its centre, −1 to 1 at its edges, and Legendre's polynomials P:
+//! - the *bend* raises it by Σ b Pᵢ(u) Pⱼ(v), 2 ≤ i + j ≤ 4, above the plane that fits it best;
+//! - the *stretch* s makes the print (1 + s/2) times as long along x, (1 − s/2) times along y, and the *skew* its sides
+//!   not square to each other; how far they are believed: `print.rs`;
+//! - the *creep* shifts it in its own plane, by Σ c Pᵢ(u) Pⱼ(v), i + j = 3, along x and along y: a bent sheet becomes
+//!   shorter where it is steep, and paper is not fed evenly;
+//! - the *size* is that of a bent sheet: its prior σ is how much shorter the bend makes it if it keeps its length along
+//!   the surface.
+//!
+//! Priors keep small what pictures leave open.
+//!
+//! Cannot tell: a stretch of both sides alike (the size of the squares); creases; a board that is bent anew in each
+//! picture.
+//!
+//! Source of the idea, with every corner free: Strobl & Hirzinger, "More accurate pinhole camera calibration with
+//! imperfect planar target" (2011), doi:10.1109/ICCVW.2011.6130369.
 
 use nalgebra::{Point3, Vector3};
 
-/// Prior σ of the bend, as a fraction of the board's half width.
-const FLAT: f64 = 5e-3;
+/// Orders along u and v of the terms of the bend.
+const ORDERS: [(usize, usize); BENDS] =
+    [(2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3), (4, 0), (3, 1), (2, 2), (1, 3), (0, 4)];
+/// Number of terms of the bend, of the creep along each side, and of all parameters.
+const BENDS: usize = 12;
+const CREEPS: usize = 4;
+pub(crate) const PARAMETERS: usize = BENDS + 3 + 2 * CREEPS;
+/// Index of the stretch, with the skew behind it, and of the bend's first term of third order.
+pub(crate) const PRINT: usize = BENDS;
+const CUBIC: usize = 3;
+
+/// Prior σ of the terms of the bend of second, third and fourth order, as fractions of the board's half width: most
+/// boards are bent smoothly.
+const FLAT: [f64; 3] = [4e-3, 2e-3, 1e-3];
+/// Prior σ of stretch and skew until the pictures have spoken.
+pub(crate) const WIDEST: f64 = 1e-2;
+/// Prior σ of stretch and skew that are held.
+const HELD: f64 = 1e-9;
+/// Prior σ of the terms of the creep, as fractions of the half width.
+const EVEN: f64 = 1e-4;
+/// Least prior σ of the size.
+const SIZE: f64 = 1e-7;
+/// Places along each side at which the slope of a bent board is averaged.
+const SLOPES: usize = 7;
 
 /// A board's shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shape {
-    /// Half of the board's longer side, where `bend_m` applies, metres.
-    pub half_m: f64,
-    /// a, b, c: how far it rises at its edges, metres.
-    pub bend_m: [f64; 3],
+    /// Half of its sides along x and y, metres; infinite for a rigid set of points.
+    half_m: [f64; 2],
+    /// Terms of the bend, stretch, skew, size, terms of the creep along x and along y; lengths in metres.
+    parameters: [f64; PARAMETERS],
 }
 
 impl Shape {
     /// A flat board with these corners, its centre at the origin.
     pub fn flat<'a>(places: impl IntoIterator<Item = &'a Point3<f64>>) -> Self {
-        let half_m = places.into_iter().fold(0.0, |most: f64, p| most.max(p.x.abs()).max(p.y.abs()));
-        Self { half_m, bend_m: [0.0; 3] }
+        let most = |[x, y]: [f64; 2], p: &Point3<f64>| [x.max(p.x.abs()), y.max(p.y.abs())];
+        Self { half_m: places.into_iter().fold([0.0; 2], most), parameters: [0.0; PARAMETERS] }
     }
 
     /// A rigid set of points, without a bend.
     pub(crate) fn rigid() -> Self {
-        Self { half_m: f64::INFINITY, bend_m: [0.0; 3] }
+        Self { half_m: [f64::INFINITY; 2], parameters: [0.0; PARAMETERS] }
     }
 
-    /// Prior σ of the bend, metres; arbitrary for a rigid shape, where it has no effect.
-    pub(crate) fn prior_sd_m(&self) -> f64 {
-        if self.half_m.is_finite() { FLAT * self.half_m } else { 1.0 }
+    /// Half of its longer side, metres.
+    pub fn half_m(&self) -> f64 {
+        self.half_m[0].max(self.half_m[1])
     }
 
-    /// d z / d bend at a point of the flat board.
-    pub(crate) fn rises(&self, place: &Point3<f64>) -> [f64; 3] {
-        let (u, v) = (place.x / self.half_m, place.y / self.half_m);
-        [u * u, u * v, v * v]
+    /// Terms of the bend, metres: how far each raises the board at its corners. By their orders along u and v: 20, 11,
+    /// 02, 30, 21, 12, 03, 40, 31, 22, 13, 04.
+    pub fn bend_m(&self) -> &[f64] {
+        &self.parameters[..BENDS]
+    }
+
+    /// By which part the print is longer along x than along y.
+    pub fn stretch(&self) -> f64 {
+        self.parameters[PRINT]
+    }
+
+    /// Stretch and skew.
+    pub(crate) fn print(&self) -> [f64; 2] {
+        [self.parameters[PRINT], self.parameters[PRINT + 1]]
+    }
+
+    /// Whether it is one of a rigid set of points.
+    pub(crate) fn is_rigid(&self) -> bool {
+        self.half_m() == f64::INFINITY
+    }
+
+    /// Each parameter's distance from its prior, with the prior's σ; arbitrary for a rigid shape, where they have no
+    /// effect. `held`: stretch and skew, if they are held.
+    pub(crate) fn priors(&self, held: Option<[f64; 2]>) -> impl Iterator<Item = (f64, f64)> {
+        let half_m = if self.is_rigid() { 1.0 } else { self.half_m() };
+        let bends = ORDERS.map(|(i, j)| half_m * FLAT.get(i + j - 2).unwrap_or(&1.0));
+        let print = if held.is_some() { HELD } else { WIDEST };
+        let print = [print, print, self.shortening().max(SIZE)];
+        let sds = bends.into_iter().chain(print).chain([EVEN * half_m; 2 * CREEPS]);
+        let mut off = self.parameters;
+        off.iter_mut().skip(PRINT).zip(held.into_iter().flatten()).for_each(|(own, held)| *own -= held);
+        off.into_iter().zip(sds)
+    }
+
+    /// By which part the bend makes the sheet shorter, the mean of both sides: half of its squared slope.
+    fn shortening(&self) -> f64 {
+        if self.is_rigid() {
+            return 0.0;
+        }
+        let at = |k: usize| (2.0 * k as f64 + 1.0) / SLOPES as f64 - 1.0;
+        let places = (0..SLOPES).flat_map(|i| (0..SLOPES).map(move |j| [at(i), at(j)].map(legendre)));
+        let squares = places.map(|[(u, by_u), (v, by_v)]| {
+            let slope = |along: &[f64; 5], across: &[f64; 5], half_m: f64| {
+                let terms = ORDERS.iter().zip(self.bend_m());
+                terms.map(|((i, j), bend_m)| bend_m * along[*i] * across[*j]).sum::<f64>()
+                    / half_m.max(f64::MIN_POSITIVE)
+            };
+            slope(&by_u, &v, self.half_m[0]).powi(2) + slope(&u, &by_v, self.half_m[1]).powi(2)
+        });
+        squares.sum::<f64>() / (4 * SLOPES * SLOPES) as f64
+    }
+
+    /// d place / d parameter at a point of the flat board.
+    pub(crate) fn moves(&self, flat: &Point3<f64>) -> impl Iterator<Item = Vector3<f64>> + use<> {
+        let free = if self.is_rigid() { 0.0 } else { 1.0 };
+        let [(u, _), (v, _)] = [(flat.x, self.half_m[0]), (flat.y, self.half_m[1])]
+            .map(|(at_m, half_m)| legendre(if half_m > 0.0 { at_m / half_m } else { 0.0 }));
+        let terms = ORDERS.map(|(i, j)| free * u[i] * v[j]);
+        let along = move |axis: Vector3<f64>, first: usize, count: usize| {
+            terms.into_iter().skip(first).take(count).map(move |term| axis * term)
+        };
+        let (x, y) = (free * flat.x, free * flat.y);
+        let print = [Vector3::new(x, -y, 0.0) / 2.0, Vector3::new(y, x, 0.0) / 2.0, Vector3::new(x, y, 0.0)];
+        along(Vector3::z(), 0, BENDS).chain(print).chain(along(Vector3::x(), CUBIC, CREEPS)).chain(along(
+            Vector3::y(),
+            CUBIC,
+            CREEPS,
+        ))
     }
 
     /// Position of a point of the flat board on this one.
     pub fn place(&self, flat: &Point3<f64>) -> Point3<f64> {
-        if self.bend_m == [0.0; 3] {
-            return *flat;
-        }
-        let z: f64 = self.rises(flat).iter().zip(self.bend_m).map(|(rise, bend_m)| rise * bend_m).sum();
-        flat + Vector3::z() * z
+        self.moves(flat).zip(self.parameters).fold(*flat, |place, (by, parameter)| place + by * parameter)
     }
 
     /// Changed by a step.
     pub(crate) fn stepped(mut self, step: &[f64]) -> Self {
-        self.bend_m.iter_mut().zip(step).for_each(|(bend_m, step)| *bend_m += step);
+        self.parameters.iter_mut().zip(step).for_each(|(own, step)| *own += step);
         self
     }
 
-    /// Deviation from flatness: from the highest to the lowest corner, relative to the best-fit plane, metres.
+    /// Deviation from flatness: from the highest to the lowest corner of a full grid with its centre at the origin,
+    /// relative to the best-fit plane, metres.
     pub fn sag_m(&self, places: &[Point3<f64>]) -> f64 {
-        let count = places.len().max(1) as f64;
         let rises: Vec<f64> = places.iter().map(|p| self.place(p).z).collect();
-        // With the centre at the origin and a full grid there is no slope: uv and squares have none.
-        let mean = rises.iter().sum::<f64>() / count;
-        let bound = |pick: fn(f64, f64) -> f64| rises.iter().map(|z| z - mean).fold(0.0, pick);
-        bound(f64::max) - bound(f64::min)
+        // On such a grid 1, x and y are orthogonal.
+        let part = |of: fn(&Point3<f64>) -> f64| {
+            let squares = places.iter().map(|p| of(p).powi(2)).sum::<f64>();
+            places.iter().zip(&rises).map(|(p, z)| of(p) * z).sum::<f64>() / squares.max(f64::MIN_POSITIVE)
+        };
+        let (mean, by_x, by_y) = (part(|_| 1.0), part(|p| p.x), part(|p| p.y));
+        let off = places.iter().zip(&rises).map(|(p, z)| z - mean - by_x * p.x - by_y * p.y);
+        let (low, high) = off.fold((0.0, 0.0), |(low, high): (f64, f64), z| (low.min(z), high.max(z)));
+        high - low
     }
+}
+
+/// Legendre's polynomials of orders 0 to 4, and their derivatives.
+fn legendre(x: f64) -> ([f64; 5], [f64; 5]) {
+    let x2 = x * x;
+    (
+        [1.0, x, 1.5 * x2 - 0.5, (2.5 * x2 - 1.5) * x, (4.375 * x2 - 3.75) * x2 + 0.375],
+        [0.0, 1.0, 3.0 * x, 7.5 * x2 - 1.5, (17.5 * x2 - 7.5) * x],
+    )
 }

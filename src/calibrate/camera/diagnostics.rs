@@ -4,8 +4,9 @@
 
 use super::CameraCalibration;
 use super::models::Model;
+use crate::calibrate::least_squares::sigmas;
 use crate::optics::Lens;
-use nalgebra::{Point2, Vector2};
+use nalgebra::{DVector, Point2, Vector2};
 
 /// What to do about a lens that needs another model.
 fn advice(model: Model) -> &'static str {
@@ -18,6 +19,8 @@ fn advice(model: Model) -> &'static str {
 
 /// Least extent of the boards, as a fraction of the distance from the principal point to the corners of the picture.
 const MIN_REACH: f64 = 0.6;
+/// A stretched print is reported if it is this many σ from square and at least by this part.
+const STRETCH_REPORTED: (f64, f64) = (4.0, 5e-4);
 /// A bend is reported if it is this many σ from zero and at least this fraction of the board's half width.
 const BEND_REPORTED: (f64, f64) = (4.0, 1e-3);
 /// Pixels that are not square are reported if fx/fy is this many σ from 1 and differs from it by at least this.
@@ -30,8 +33,9 @@ pub enum CameraDiagnostic {
     /// Two groups of pictures with different lenses.
     #[error(
         "the pictures fall into two groups with different lenses, of {0:.1} and {1:.1} px focal length, centre \
-         ({2:.1}, {3:.1}) and ({4:.1}, {5:.1}): are they of two cameras, or was focus or zoom moved? One group: \
-         {names}",
+         ({2:.1}, {3:.1}) and ({4:.1}, {5:.1}): are they of two cameras, was focus or zoom moved, or were some \
+         cropped, stabilised, or turned by 180°? σ includes the distance from both lenses. Take pictures with one \
+         setting. One group: {names}",
         .lenses[0].focal_px.x, .lenses[1].focal_px.x, .lenses[0].principal_point_px.x, .lenses[0].principal_point_px.y,
         .lenses[1].principal_point_px.x, .lenses[1].principal_point_px.y, names = .names.join(", ")
     )]
@@ -93,13 +97,25 @@ pub enum CameraDiagnostic {
         /// Its significance, in σ.
         sigmas: f64,
     },
-    /// Pixels that are not square, or a print that is stretched.
+    /// A print whose squares are not square.
     #[error(
-        "fx/fy is {ratio:.4} ± {sd:.4}, {:.0} σ from 1, but most cameras have square pixels: is the print stretched, \
-         by {:.2} % along one side? Measure the grid along both sides of the board; if its squares are not square, \
-         print it again, without scaling. If they are, the camera or what records it stretches pictures, and the lens \
-         is right",
-        (.ratio - 1.0).abs() / .sd, 100.0 * (.ratio - 1.0).abs()
+        "the print is stretched: along its rows it is longer by {percent:.2} ± {sd_percent:.2} % than along its \
+         columns. It is allowed for, with the mean of both sides as stated; measure the grid, and print it again, \
+         without scaling"
+    )]
+    Stretched {
+        /// Longer along rows by so many per cent; negative if along columns.
+        percent: f64,
+        /// Its σ.
+        sd_percent: f64,
+    },
+    /// Pixels that are not square.
+    #[error(
+        "fx/fy is {ratio:.4} ± {sd:.4}, {:.0} σ from 1, but most cameras have square pixels: does the camera, or what \
+         records it, stretch pictures? If so, the lens is right. A print stretched along one side is allowed for; \
+         boards tilted more, and turned by 90° in some pictures, tell the two apart better. Measure the grid along \
+         both sides of the board",
+        (.ratio - 1.0).abs() / .sd
     )]
     Aspect {
         /// fx/fy.
@@ -132,16 +148,21 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     if off > ASPECT_REPORTED.0 * sd && off > ASPECT_REPORTED.1 {
         all.push(CameraDiagnostic::Aspect { ratio, sd });
     }
-    let bend = nalgebra::Vector3::from(done.shape.bend_m);
-    let sigmas = done.shape_covariance.cholesky().map_or(0.0, |known| bend.dot(&known.solve(&bend)).sqrt());
-    let (sag_m, half_m) = (done.shape.sag_m(places), done.shape.half_m);
+    let (stretch, sd) = (done.shape.stretch(), done.stretch_sd());
+    if stretch.abs() > STRETCH_REPORTED.0 * sd && stretch.abs() > STRETCH_REPORTED.1 {
+        all.push(CameraDiagnostic::Stretched { percent: 100.0 * stretch, sd_percent: 100.0 * sd });
+    }
+    let bend = DVector::from_row_slice(done.shape.bend_m());
+    let covariance = done.shape_covariance.view((0, 0), (bend.len(), bend.len())).into_owned();
+    let sigmas = covariance.cholesky().map_or(0.0, |known| sigmas(bend.dot(&known.solve(&bend)), bend.len()));
+    let (sag_m, half_m) = (done.shape.sag_m(places), done.shape.half_m());
     if sigmas > BEND_REPORTED.0 && sag_m > BEND_REPORTED.1 * half_m {
         all.push(CameraDiagnostic::Bent { sag_mm: sag_m * 1e3, percent: 50.0 * sag_m / half_m, sigmas });
     }
     all
 }
 
-/// fx/fy and its σ: a stretched print changes it like pixels that are not square, if boards are all the same way up.
+/// fx/fy and its σ.
 fn aspect(done: &CameraCalibration) -> (f64, f64) {
     let (focal, known) = (done.lens.focal_px, &done.covariance);
     let ratio = focal.x / focal.y;

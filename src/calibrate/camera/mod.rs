@@ -10,8 +10,7 @@
 //!
 //! Remaining doubts about the lens are among its [`diagnostics`].
 //!
-//! Cannot detect: squares of another size than stated (the lens does not depend on it, distances do). Squares that are
-//! not square look like pixels that are not.
+//! Cannot detect: squares of another size than stated (the lens does not depend on it, distances do).
 
 pub mod diagnostics;
 pub mod models;
@@ -22,13 +21,13 @@ mod two_lenses;
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::{LeftOut, UsedPicture, left_out_lines, worst_picture};
 use crate::calibrate::bundle::pose::{pose_from_opencv, spread_rad};
-use crate::calibrate::bundle::shape::Shape;
+use crate::calibrate::bundle::shape::{PRINT, Shape};
 use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::Lens;
 use diagnostics::CameraDiagnostic;
 use models::Model;
-use nalgebra::{DMatrix, Isometry3, Matrix3, Point2, Point3, Vector2};
+use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2};
 use opencv::calib3d;
 use opencv::core::{Mat, MatTraitConst, Point2f, Point3f, Size, TermCriteria, TermCriteria_Type, Vector};
 use two_lenses::{TwoLenses, two_lenses};
@@ -79,10 +78,10 @@ pub struct CameraCalibration {
     pub design_effect: f64,
     /// Noise of one coordinate of a corner, pixels.
     pub corner_sd_px: f64,
-    /// The board's shape, and the covariance of its bend, m².
+    /// The board's shape, and its covariance, see [`Solution::shape_covariance`].
     pub shape: Shape,
     /// See `shape`.
-    pub shape_covariance: Matrix3<f64>,
+    pub shape_covariance: DMatrix<f64>,
     /// For each picture used: its name, the board's pose (camera_from_board, origin at the board's centre), each
     /// corner's position in the picture and its residual, pixels.
     pub used: Vec<UsedPicture>,
@@ -92,17 +91,27 @@ pub struct CameraCalibration {
     pub diagnostics: Vec<CameraDiagnostic>,
 }
 
+impl CameraCalibration {
+    /// σ of the stretch of the board's print.
+    pub fn stretch_sd(&self) -> f64 {
+        self.shape_covariance[(PRINT, PRINT)].sqrt()
+    }
+}
+
 /// Why there is no calibration.
 #[derive(Debug, thiserror::Error)]
 pub enum CameraError {
     /// Pictures of several sizes.
     #[error(
-        "{name} has {}x{} pixels, {first} has {}x{}: all pictures must come from the camera as it will be used, and as \
-         it stored them, neither resized nor turned", found[0], found[1], expected[0], expected[1]
+        "{name}{} has {}x{} pixels, {first} has {}x{}: all pictures must come from the camera as it will be used, and \
+         as it stored them, neither resized nor turned{}", others(.alike), found[0], found[1], expected[0], expected[1],
+        if found[0] == expected[1] && found[1] == expected[0] { " by a viewer or a converter" } else { "" }
     )]
     Sizes {
         /// A picture.
         name: String,
+        /// Other pictures of this size.
+        alike: Vec<String>,
         /// Its size.
         found: [u32; 2],
         /// The first picture.
@@ -162,6 +171,11 @@ pub enum CameraError {
     Solve(#[from] NoSolution),
 }
 
+/// Further names, in brackets.
+fn others(names: &[String]) -> String {
+    if names.is_empty() { String::new() } else { format!(" (like {})", names.join(", ")) }
+}
+
 /// Calibrates the lens.
 ///
 /// # Errors
@@ -175,6 +189,11 @@ pub fn calibrate_camera(
     if let Some(other) = pictures.iter().find(|p| p.size_px != first.size_px) {
         return Err(CameraError::Sizes {
             name: other.name.clone(),
+            alike: pictures
+                .iter()
+                .filter(|p| p.size_px == other.size_px && p.name != other.name)
+                .map(|p| p.name.clone())
+                .collect(),
             found: other.size_px,
             first: first.name.clone(),
             expected: first.size_px,
@@ -192,7 +211,11 @@ pub fn calibrate_camera(
         let of_pictures = by_picture(&solved, &used);
         let Some((worst, off)) = worst_picture(&of_pictures) else {
             let mut done = conclude(&solved, of_pictures, left_out, first.size_px)?;
-            done.diagnostics = diagnose(board, &used, &done, &solved, &corners);
+            let two = two_lenses(&solved, &corners);
+            if let Some(two) = &two {
+                widen(&mut done, two);
+            }
+            done.diagnostics = diagnose(board, &used, &done, &solved, two);
             return Ok(done);
         };
         left_out.push((used.remove(worst).name.clone(), off));
@@ -217,17 +240,30 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
     (used, left_out)
 }
 
+/// Where pictures have two lenses, the one found is neither: its error is about its distance from them.
+fn widen(done: &mut CameraCalibration, two: &TwoLenses) {
+    let values = |lens: Lens| {
+        let geometry = Geometry { lens, surfaces: Vec::new(), views: Vec::new() };
+        let of_lens = Parameter::of_lens(&lens);
+        DVector::from_iterator(of_lens.len(), of_lens.iter().map(|p| geometry.value(*p)))
+    };
+    for lens in two.lenses {
+        let off = values(lens) - values(done.lens);
+        done.covariance += &off * off.transpose() / two.lenses.len() as f64;
+    }
+}
+
 /// The most serious first.
 fn diagnose(
     board: &Board,
     used: &[&BoardPicture],
     done: &CameraCalibration,
     solved: &Solution,
-    corners: &[Corner],
+    two: Option<TwoLenses>,
 ) -> Vec<CameraDiagnostic> {
     let places = board.centred_points();
     let mut all = Vec::new();
-    match two_lenses(solved, corners) {
+    match two {
         Some(TwoLenses { groups, lenses: [a, b] }) => {
             let smaller = usize::from(groups[1].len() < groups[0].len());
             let names = groups[smaller].iter().filter_map(|i| solved.names.get(*i).cloned()).collect();
@@ -359,7 +395,7 @@ fn conclude(
         design_effect: solved.design_effect,
         corner_sd_px: solved.corner_sd_px,
         shape: solved.shape,
-        shape_covariance: solved.shape_covariance,
+        shape_covariance: solved.shape_covariance.clone(),
         used,
         left_out,
         diagnostics: Vec::new(),

@@ -9,17 +9,20 @@
 //! reported only if they differ by more than their covariances, which include the scatter of one camera's pictures, and
 //! fit the corners better than one. Where they fit no better, because depth makes up for a change of focus or zoom, the
 //! pictures before and after some moments in their order are compared: of so few splits none is chosen to differ, so
-//! that focal lengths that differ clearly are enough.
+//! that focal lengths or principal points that differ clearly are enough.
+//!
+//! All groups have the board's shape as found from all pictures: one shape for each would make up for another lens.
 //!
 //! Cannot tell: groups of fewer than four clusters; lenses that differ less than other errors of the pictures. Of
 //! OpenCV's twelve pictures of one camera, half of them enlarged, in any order, is detected at 5 %, at 3 % hardly. For
 //! its pair of cameras, with centres 15 px apart, a half-and-half mixture is detected.
 
 use crate::calibrate::bundle::clusters::Part;
+use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
 use crate::calibrate::geometry::Parameter;
 use crate::optics::Lens;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector4};
 use rayon::prelude::*;
 
 /// Fewest clusters of a group.
@@ -34,7 +37,8 @@ const MAX_STARTS: usize = 3;
 const MIN_EVIDENCE: f64 = 3.75;
 /// Parts of the pictures after which focus or zoom may have been moved.
 const MOMENTS: [f64; 3] = [1.0 / 3.0, 0.5, 2.0 / 3.0];
-/// χ² of the difference of both focal lengths before and after. Pictures of one camera reach 11.
+/// χ² of the difference of focal lengths and principal points before and after. Pictures of one camera reach 11, four
+/// sets of photographs, and simulated ones 16.
 const MOVED_CHI2: f64 = 25.0;
 /// Residuals are capped at this many σ.
 const OUTLIER: f64 = 4.0;
@@ -53,7 +57,7 @@ pub(crate) fn two_lenses(solved: &Solution, corners: &[Corner]) -> Option<TwoLen
     in_any_order(solved, corners).or_else(|| before_and_after(solved, corners))
 }
 
-/// Pictures before and after a moment at which focus or zoom were moved.
+/// Pictures before and after a moment at which focus or zoom were moved, or the part of the sensor that is read.
 fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
     // Clusters in the order of their first pictures.
     let mut order: Vec<usize> = Vec::with_capacity(solved.parts.len());
@@ -67,9 +71,11 @@ fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> 
         let first: Vec<bool> = (0..solved.parts.len()).map(|cluster| before.contains(&cluster)).collect();
         let (groups, [a, b]) = solved_apart(solved, corners, &first)?;
         let lenses = [a.geometry.lens, b.geometry.lens];
-        let off = lenses[0].focal_px - lenses[1].focal_px;
-        // The focal lengths come first.
-        let together = (a.covariance + b.covariance).fixed_view::<2, 2>(0, 0).into_owned();
+        let [f, c] = [|lens: &Lens| lens.focal_px, |lens: &Lens| lens.principal_point_px.coords]
+            .map(|of| of(&lenses[0]) - of(&lenses[1]));
+        let off = Vector4::new(f.x, f.y, c.x, c.y);
+        // They come first.
+        let together = (a.covariance + b.covariance).fixed_view::<4, 4>(0, 0).into_owned();
         let chi2 = off.dot(&together.cholesky()?.solve(&off));
         (chi2 > MOVED_CHI2).then_some((chi2, TwoLenses { groups, lenses }))
     };
@@ -176,9 +182,17 @@ fn solved_apart(solved: &Solution, corners: &[Corner], first: &[bool]) -> Option
         pictures.clone().filter(|(_, cluster)| first.get(**cluster) == Some(&which)).map(|(i, _)| i).collect()
     };
     let groups: [Vec<usize>; 2] = [group(true), group(false)];
-    let of = |group: &Vec<usize>| solved.of_pictures(group, corners).solve().ok();
+    let of = |group: &Vec<usize>| of_group(solved, corners, group).solve().ok();
     let solutions = [of(&groups[0])?, of(&groups[1])?];
     Some((groups, solutions))
+}
+
+/// The problem of some pictures, with the board's shape that was found from all of them.
+fn of_group(solved: &Solution, corners: &[Corner], group: &[usize]) -> Bundle {
+    let mut own = solved.of_pictures(group, corners);
+    own.corners.iter_mut().for_each(|corner| corner.place = solved.shape.place(&corner.place));
+    own.shape = Shape::rigid();
+    own
 }
 
 fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<Split> {
@@ -203,7 +217,7 @@ fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<S
 /// For each cluster, the sum of squares with a lens, the poses being free.
 fn squares(solved: &Solution, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64>> {
     let all: Vec<usize> = (0..solved.poses.len()).collect();
-    let mut bundle: Bundle = solved.of_pictures(&all, corners);
+    let mut bundle = of_group(solved, corners, &all);
     bundle.geometry.lens = *lens;
     bundle.free = Vec::new();
     let left = bundle.search().ok()?.left_px().ok()?;

@@ -1,23 +1,29 @@
 //! Lenses from boards in air: found, and sets that are refused.
 
 use super::{SIZE_PX, board, gaussian, lens};
-use crate::calibrate::board::{BoardImage, BoardPicture};
+use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::LeftOut;
-use crate::calibrate::camera::{CameraError, LensModel, calibrate_camera};
+use crate::calibrate::camera::diagnostics::CameraDiagnostic;
+use crate::calibrate::camera::{CameraCalibration, CameraError, LensModel, calibrate_camera};
 use crate::calibrate::geometry::{Geometry, Projector};
 use crate::optics::{Lens, OpticalPath};
-use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
 /// Boards in air with the given rotations, each at its own place.
 pub(super) fn air(turns: &[[f64; 3]], sd_px: f64) -> Vec<BoardPicture> {
-    let (places, mut random) = (board().centred_points(), gaussian(3));
+    air_of(board().centred_points(), turns, sd_px, 3)
+}
+
+/// The same with corners at other places.
+fn air_of(places: Vec<Point3<f64>>, turns: &[[f64; 3]], sd_px: f64, seed: u64) -> Vec<BoardPicture> {
+    let mut random = gaussian(seed);
     let geometry = Geometry { lens: lens(), surfaces: Vec::new(), views: vec![("air".into(), Vec::new())] };
     let projector = Projector::new(&geometry, &[]);
     turns
         .iter()
         .enumerate()
         .map(|(i, turn)| {
-            let at = |k: usize, half: f64| half * f64::from(i32::try_from((i * k) % 5).unwrap() - 2) / 2.0;
+            let at = |k: usize, half: f64| half * f64::from(i32::try_from((i * k + i / 5) % 5).unwrap() - 2) / 2.0;
             let middle = Translation3::new(at(1, 0.06), at(2, 0.05), 0.45 + at(3, 0.05));
             let pose = Isometry3::from_parts(middle, UnitQuaternion::from_scaled_axis(Vector3::from(*turn)));
             let mut noisy = |i: usize| {
@@ -100,7 +106,10 @@ fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
     let mut mixed = air(&TILTS, 0.05);
     mixed[4].size_px = [1024, 1280];
     let text = error(&mixed).to_string();
-    assert!(text.starts_with("4.png has 1024x1280 pixels, 0.png has 1280x1024"), "{text}");
+    assert!(text.starts_with("4.png has 1024x1280 pixels, 0.png has 1280x1024") && text.contains("turned"), "{text}");
+    mixed[6].size_px = [1024, 1280];
+    let text = error(&mixed).to_string();
+    assert!(text.starts_with("4.png (like 6.png) has 1024x1280 pixels"), "{text}");
 }
 
 /// A wide lens of the rational model, boards out to the corners: found with eight parameters, and refused with five.
@@ -148,4 +157,105 @@ fn a_rational_lens_is_found_with_eight_parameters_and_refused_with_five() {
     // Five parameters cannot bend like that: the residual leaves the focal length undetermined.
     let five = calibrate_camera(&board(), &pictures, LensModel::Five).unwrap_err();
     assert!(matches!(five, CameraError::Open { .. }) && five.to_string().contains("--lens 8"), "{five}");
+}
+
+/// A board with squares twice as large, which determines a lens well.
+fn large() -> Board {
+    Board { square_m: 2.0 * board().square_m, ..board() }
+}
+
+/// Sixteen tilts to all sides.
+fn many_tilts(seed: u64) -> Vec<[f64; 3]> {
+    let mut random = gaussian(seed);
+    let turn = |i: u32| {
+        let (sin, cos) = (f64::from(i) * 2.4).sin_cos();
+        let tilt = 0.25 + 0.02 * f64::from(i);
+        [tilt * cos, tilt * sin, 0.2 * random()]
+    };
+    (0..16).map(turn).collect()
+}
+
+/// Squares of errors of focal lengths and principal point, in variances, and σ of fx.
+fn squares_of_errors(found: &CameraCalibration) -> (f64, f64) {
+    let of = |lens: &Lens| [lens.focal_px.x, lens.focal_px.y, lens.principal_point_px.x, lens.principal_point_px.y];
+    let off = of(&found.lens).into_iter().zip(of(&lens())).enumerate();
+    (
+        off.map(|(i, (value, truth))| (value - truth).powi(2) / found.covariance[(i, i)]).sum(),
+        found.covariance[(0, 0)].sqrt(),
+    )
+}
+
+/// Boards curled like an S, with a lifted corner, or stretched: the lens is off by what its σ says, which is hardly
+/// larger than with a flat board, and the curl or stretch is told.
+#[test]
+fn curled_and_stretched_boards_leave_the_lens_as_good_as_its_deviations() {
+    const RUNS: u64 = 6;
+    let half_m = large().centred_points().iter().map(|p| p.x).fold(0.0, f64::max);
+    let s_curl = |u: f64, _: f64| 0.012 * (u * u * u - 0.6 * u);
+    let lifted = |u: f64, v: f64| 0.006 * (u + 1.5 * v - 0.6).max(0.0).powi(2);
+    let flat = |_: f64, _: f64| 0.0;
+    let mut of_flat = 0.0;
+    let kinds: [(&str, &dyn Fn(f64, f64) -> f64, f64); 4] =
+        [("flat", &flat, 0.0), ("S", &s_curl, 0.0), ("lifted corner", &lifted, 0.0), ("stretched", &flat, 0.004)];
+    for (kind, rise, stretch) in kinds {
+        let (mut squares, mut sd_px) = (0.0, 0.0);
+        for seed in 0..RUNS {
+            let real = |p: Point3<f64>| {
+                let z = half_m * rise(p.x / half_m, p.y / half_m);
+                Point3::new(p.x * (1.0 + stretch / 2.0), p.y * (1.0 - stretch / 2.0), z)
+            };
+            let places = large().centred_points().into_iter().map(real).collect();
+            let pictures = air_of(places, &many_tilts(seed), 0.03, 50 + seed);
+            let found = calibrate_camera(&large(), &pictures, LensModel::Five).unwrap();
+            assert_eq!(found.used.len(), pictures.len(), "{kind}: {:?}", found.left_out);
+            let (square, sd) = squares_of_errors(&found);
+            squares += square / (4 * RUNS) as f64;
+            sd_px += sd / RUNS as f64;
+            let told = |what: fn(&CameraDiagnostic) -> bool| found.diagnostics.iter().any(what);
+            let bent = told(|d| matches!(d, CameraDiagnostic::Bent { .. }));
+            let stretched = told(|d| matches!(d, CameraDiagnostic::Stretched { .. }));
+            assert_eq!([bent, stretched], [kind == "S" || kind == "lifted corner", stretch > 0.0], "{kind} {seed}");
+        }
+        println!("{kind}: z RMS {:.2}, σ of fx {sd_px:.2} px", squares.sqrt());
+        assert!((0.6..1.4).contains(&squares.sqrt()), "{kind}: {}", squares.sqrt());
+        if kind == "flat" {
+            of_flat = sd_px;
+        }
+        assert!(sd_px < 1.3 * of_flat, "{kind}: {sd_px} px, {of_flat} px with a flat board");
+    }
+}
+
+/// The second half of the pictures, or every other one, cropped elsewhere, taken with another zoom, or turned by half a
+/// turn: the groups are named, and σ covers both lenses.
+#[test]
+fn pictures_shifted_zoomed_or_turned_are_named_and_widen_the_deviations() {
+    type Change = fn(Point2<f64>) -> Point2<f64>;
+    let shifted: Change = |p| Point2::new(p.x + 24.0, p.y);
+    let zoomed: Change = |p| lens().principal_point_px + (p - lens().principal_point_px) * 1.01;
+    let turned: Change = |p| Point2::new(f64::from(SIZE_PX[0]) - 1.0 - p.x, f64::from(SIZE_PX[1]) - 1.0 - p.y);
+    for (what, change) in [("shifted", shifted), ("zoomed", zoomed), ("turned", turned)] {
+        for every_other in [false, true] {
+            let (mut squares, mut clean) = (0.0, 0);
+            const RUNS: u64 = 5;
+            for seed in 0..RUNS {
+                let mut pictures = air_of(large().centred_points(), &many_tilts(seed), 0.03, 70 + seed);
+                let half = pictures.len() / 2;
+                let changed = |i: usize| if every_other { i % 2 == 1 } else { i >= half };
+                for (_, picture) in pictures.iter_mut().enumerate().filter(|(i, _)| changed(*i)) {
+                    picture.name = format!("changed {}", picture.name);
+                    picture.image.corners.iter_mut().for_each(|(_, pixel)| *pixel = change(*pixel));
+                }
+                let found = calibrate_camera(&large(), &pictures, LensModel::Five).unwrap();
+                let Some(CameraDiagnostic::TwoLenses { names, .. }) = found.diagnostics.first() else {
+                    panic!("{what} {every_other} {seed}: {:?}", found.diagnostics)
+                };
+                let right = names.iter().filter(|name| name.starts_with("changed")).count();
+                clean += usize::from(right == names.len() || right == 0);
+                squares += squares_of_errors(&found).0 / (4 * RUNS) as f64;
+            }
+            println!("{what} {every_other}: z RMS {:.2}, {clean} of {RUNS} groups without mistake", squares.sqrt());
+            assert!(squares.sqrt() < 1.4, "{what} {every_other}: {}", squares.sqrt());
+            assert!(clean >= 4, "{what} {every_other}: {clean} of {RUNS} groups without mistake");
+        }
+    }
 }

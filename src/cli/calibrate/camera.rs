@@ -10,6 +10,9 @@ use crate::rig::{Camera, Draft};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
+/// Pictures that leave the stretch of the print more uncertain than this do not tell it from that of the pixels.
+const STRETCH_OPEN: f64 = 1e-3;
+
 #[derive(Debug, clap::Args)]
 pub(super) struct CameraArgs {
     /// Pictures of the board in air, without mirror and glass, or a folder of them
@@ -46,7 +49,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
             Failure::new(exit, error)
         })
     })?;
-    print(&describe(&searched, &done))?;
+    print(&describe(&args.board, &searched, &done))?;
     for astray in pictures::astray(done.used.iter(), done.corner_sd_px) {
         tracing::warn!("{astray}");
     }
@@ -78,7 +81,9 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     let noise: Vec<toml::Value> =
         (0..done.noise_covariance.nrows()).map(|i| done.noise_covariance[(i, i)].sqrt().into()).collect();
     provenance.insert("lens_sd_by_noise".into(), noise.into());
-    provenance.insert("board_bend_mm".into(), done.shape.bend_m.map(|m| m * 1e3).to_vec().into());
+    let bend_mm: Vec<f64> = done.shape.bend_m().iter().map(|m| m * 1e3).collect();
+    provenance.insert("board_bend_mm".into(), bend_mm.into());
+    provenance.insert("board_stretch".into(), done.shape.stretch().into());
     draft.provenance.insert("camera".into(), provenance.into());
     let written = save(&draft, &args.out)?;
     print(&format!("\n{written}\n"))
@@ -92,7 +97,7 @@ fn lens_model(text: &str) -> Result<LensModel, String> {
     }
 }
 
-fn describe(searched: &[SearchedPicture], done: &CameraCalibration) -> String {
+fn describe(board: &Board, searched: &[SearchedPicture], done: &CameraCalibration) -> String {
     let mut text = pictures::table(searched, done.used.iter(), &done.left_out);
     let _ = writeln!(
         text,
@@ -125,5 +130,17 @@ fn describe(searched: &[SearchedPicture], done: &CameraCalibration) -> String {
     }
     text += "σ: how much the lens changes from picture to picture; noise: of single corners; model: what the corners \
              of a picture share (board, print, blur, lens model)\n";
+    let (sag_mm, sd) = (done.shape.sag_m(&board.centred_points()) * 1e3, done.stretch_sd());
+    let _ = writeln!(
+        text,
+        "board: {sag_mm:.2} mm from its highest to its lowest place; its print is longer along rows than along columns \
+         by {:.2} ± {:.2} %",
+        100.0 * done.shape.stretch(),
+        100.0 * sd
+    );
+    if sd > STRETCH_OPEN {
+        text += "these pictures hardly tell a stretched print from pixels that are not square, which makes σ of the \
+                 focal lengths larger: turn the board by 90° in a third of them\n";
+    }
     text
 }
