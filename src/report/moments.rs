@@ -1,7 +1,7 @@
 //! The first, the best and the worst frame of a run, and their pictures.
 //!
-//! Best and worst are judged first by misses, then by σ. A picture is kept when its frame is a twentieth better or worse
-//! than the one kept before: two are in memory. The first is drawn at once, while the tracker works.
+//! Best and worst are judged first by misses, then by σ. A picture is kept when its frame is a twentieth better or
+//! worse than the one kept before: two are in memory. The first is drawn at once, while the tracker works.
 
 use super::html::Html;
 use super::page;

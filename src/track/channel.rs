@@ -3,7 +3,8 @@
 //! Pictures with colour for each pixel are often made from others, and the program that does it may copy chroma to
 //! pixels that it does not belong to. A channel is luma and chroma: R = Y + (R − Y). Of each pixel, luma is taken as it
 //! is, and chroma from where that of the pixel lies, between pixels by Lanczos' kernel of three lobes (Duchon 1979,
-//! doi:10.1175/1520-0450(1979)018<1016:LFIOAT>2.0.CO;2). So the channels remain those that are stored, with their noise.
+//! doi:10.1175/1520-0450(1979)018<1016:LFIOAT>2.0.CO;2). So the channels remain those that are stored, with their
+//! noise.
 
 use crate::source::{Colour, Picture, PixelFormat, Plane, Range};
 use std::f64::consts::PI;

@@ -8,8 +8,8 @@ use crate::rig::Rig;
 use crate::track::by_band::ByBand;
 use nalgebra::Point2;
 
-/// A band whose image shifts by this in every view that shows it, pixels, has moved. Something in front of a band shifts
-/// it in one view.
+/// A band whose image shifts by this in every view that shows it, pixels, has moved. Something in front of a band
+/// shifts it in one view.
 const MOVED_PX: f64 = 0.5;
 /// Frames after which a coder has corrected most of what it left.
 const CORRECTED_FRAMES: u32 = 30;

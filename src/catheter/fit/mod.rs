@@ -5,7 +5,8 @@
 //! is not determined the experiment that would tell it.
 //!
 //! 1. Pauses in which the catheter came to rest give the noise (differences from frame to frame, taken for white; not
-//!    less than the tracker states, as a coder repeats the pictures of what rests, with their errors) and, by the boundary value problem of the rod, what shapes at rest depend on.
+//!    less than the tracker states, as a coder repeats the pictures of what rests, with their errors) and, by the
+//!    boundary value problem of the rod, what shapes at rest depend on.
 //! 2. From there, everything is fitted to all frames by the catheter in motion.
 //!
 //! After each step the eigenvectors of the information tell what is left open (`search.rs`); the parameter that has the
