@@ -113,8 +113,11 @@ fn a_zoom_that_was_moved_midway_is_told() {
         let large = picture.resize_exact(large[0], large[1], image::imageops::FilterType::CatmullRom);
         large.crop_imm((large.width() - width) / 2, (large.height() - height) / 2, width, height)
     });
-    let told = "two groups with different lenses";
-    holds(&set.camera(&["set"], &[]), 0, &[told, "One group: 00.png, 01.png, 02.png, 03.png, 04.png, 05.png, 06.png"]);
+    let output = set.camera(&["set"], &[]);
+    holds(&output, 0, &["two groups with different lenses"]);
+    let halves = [0..7, 7..14].map(|half| half.map(|i| format!("{i:02}.png")).collect::<Vec<_>>().join(", "));
+    let printed = printed(&output);
+    assert!(halves.iter().any(|half| printed.contains(&format!("One group: {half}\n"))), "{printed}");
 }
 
 /// Poses of a board in air, all over the picture; `tilt` and `depth` scale how much they differ.

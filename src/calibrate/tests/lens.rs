@@ -191,12 +191,12 @@ fn squares_of_errors(found: &CameraCalibration) -> (f64, f64) {
 fn curled_and_stretched_boards_leave_the_lens_as_good_as_its_deviations() {
     const RUNS: u64 = 6;
     let half_m = large().centred_points().iter().map(|p| p.x).fold(0.0, f64::max);
-    let s_curl = |u: f64, _: f64| 0.012 * (u * u * u - 0.6 * u);
-    let lifted = |u: f64, v: f64| 0.006 * (u + 1.5 * v - 0.6).max(0.0).powi(2);
-    let flat = |_: f64, _: f64| 0.0;
+    type Rise = fn(f64, f64) -> f64;
+    let s_curl: Rise = |u, _| 0.012 * (u * u * u - 0.6 * u);
+    let lifted: Rise = |u, v| 0.006 * (u + 1.5 * v - 0.6).max(0.0).powi(2);
+    let flat: Rise = |_, _| 0.0;
     let mut of_flat = 0.0;
-    let kinds: [(&str, &dyn Fn(f64, f64) -> f64, f64); 4] =
-        [("flat", &flat, 0.0), ("S", &s_curl, 0.0), ("lifted corner", &lifted, 0.0), ("stretched", &flat, 0.004)];
+    let kinds = [("flat", flat, 0.0), ("S", s_curl, 0.0), ("lifted corner", lifted, 0.0), ("stretched", flat, 0.004)];
     for (kind, rise, stretch) in kinds {
         let (mut squares, mut sd_px) = (0.0, 0.0);
         for seed in 0..RUNS {
