@@ -78,7 +78,7 @@ pub struct CameraCalibration {
     pub design_effect: f64,
     /// Noise of one coordinate of a corner, pixels.
     pub corner_sd_px: f64,
-    /// The board's shape, and its covariance, see [`Solution::shape_covariance`].
+    /// The board's shape, and the covariance of its bend and, the last, its stretch; lengths in metres.
     pub shape: Shape,
     /// See `shape`.
     pub shape_covariance: DMatrix<f64>,
