@@ -38,7 +38,6 @@ use crate::tally::Tally;
 use course::Course;
 use moments::Moments;
 use std::fs::File;
-use std::io;
 use std::path::{Path, PathBuf};
 
 /// Information about the run in the head of a report.
@@ -63,8 +62,6 @@ pub struct ReportSink {
     /// Opened at the start, so that a folder without write access is noticed before the run, not after it. `None` when
     /// finished.
     file: Option<File>,
-    /// The head of the page, once it was written. A failure is told at the end: the run goes on without a report.
-    head: Option<io::Result<()>>,
     info: RunInfo,
     course: Course,
     moments: Moments,
@@ -78,15 +75,7 @@ impl ReportSink {
     pub fn create(path: &Path, rig: &Rig, info: RunInfo) -> Result<Self, SinkError> {
         let file = File::create(path).map_err(|source| SinkError::Io { path: path.into(), source })?;
         let course = Course::new(rig, info.camera_frame);
-        Ok(Self { path: path.into(), file: Some(file), head: None, info, course, moments: Moments::new(rig) })
-    }
-
-    /// Writes the head of the page, unless it is there. It is written while the tracker works: the run waits for what
-    /// is left to the end.
-    fn begin(&mut self) {
-        if let (None, Some(file)) = (&self.head, &mut self.file) {
-            self.head = Some(page::begin(file, &tracking::title(&self.info)));
-        }
+        Ok(Self { path: path.into(), file: Some(file), info, course, moments: Moments::new(rig) })
     }
 }
 
@@ -96,17 +85,15 @@ impl Sink for ReportSink {
         if let Some(picture) = picture {
             self.moments.add(estimate, picture);
         }
-        self.begin();
+        // While the tracker works: the run waits for what is left to the end.
+        page::prepare();
         Ok(())
     }
 
     fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
-        self.begin();
         let Some(mut file) = self.file.take() else { return Ok(()) };
-        let failed = |source| SinkError::Io { path: self.path.clone(), source };
-        self.head.take().unwrap_or(Ok(())).map_err(failed)?;
         let pictures = self.moments.section(tally.frames, self.course.origin());
-        let body = tracking::render(&self.info, &self.course, tally, &pictures);
-        page::end(&mut file, &body).map_err(failed)
+        let (title, body) = tracking::render(&self.info, &self.course, tally, &pictures);
+        page::write_page(&mut file, &title, &body).map_err(|source| SinkError::Io { path: self.path.clone(), source })
     }
 }

@@ -100,27 +100,23 @@ pub(super) fn signed(value: f64, digits: usize) -> String {
 
 /// A page around `body`. `title` is text, `body` HTML.
 pub(super) fn page(title: &str, body: &str) -> String {
-    [&head(&escape(title))[..], &[body], &TAIL].concat().concat()
+    parts(&escape(title), body).concat()
 }
 
-/// Writes a page up to its body: nearly all of it, because of the script. `title` is text.
+/// Makes what all pages have in common, once, so that writing one takes less time.
+pub(super) fn prepare() {
+    plotly_script();
+}
+
+/// Writes the same page. The script is most of it, and is not copied.
 ///
 /// # Errors
 /// Those of `out`.
-pub(super) fn begin(out: &mut impl Write, title: &str) -> io::Result<()> {
-    head(&escape(title)).iter().try_for_each(|part| out.write_all(part.as_bytes()))
+pub(super) fn write_page(out: &mut impl Write, title: &str, body: &str) -> io::Result<()> {
+    parts(&escape(title), body).iter().try_for_each(|part| out.write_all(part.as_bytes()))
 }
 
-/// Writes the rest of a page that was begun. `body` is HTML.
-///
-/// # Errors
-/// Those of `out`.
-pub(super) fn end(out: &mut impl Write, body: &str) -> io::Result<()> {
-    [body].iter().chain(&TAIL).try_for_each(|part| out.write_all(part.as_bytes()))
-}
-
-/// What comes before the body. `title` is HTML.
-fn head(title: &str) -> [&str; 11] {
+fn parts<'a>(title: &'a str, body: &'a str) -> [&'a str; 16] {
     [
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"",
@@ -134,17 +130,14 @@ fn head(title: &str) -> [&str; 11] {
         "\n<script>\n",
         SAVE,
         "</script>\n</head>\n<body>\n<main>\n",
+        body,
+        "<noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off \
+         here.</p></noscript>\n</main>\n<script>\n",
+        LINK,
+        PRINT,
+        "</script>\n</body>\n</html>\n",
     ]
 }
-
-/// What comes after the body.
-const TAIL: [&str; 4] = [
-    "<noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off \
-     here.</p></noscript>\n</main>\n<script>\n",
-    LINK,
-    PRINT,
-    "</script>\n</body>\n</html>\n",
-];
 
 /// The plotting library as a script element, made once. The crate returns it together with MathJax, which is not used
 /// here and would load more from elsewhere, so only the first element is taken.

@@ -12,13 +12,8 @@ use crate::tally::budget::{Contribution, together};
 use crate::tally::{AlarmInWords, Drifted, MISSING_OF_LOG, MissCount, Tally};
 use std::collections::BTreeSet;
 
-/// The title of the page.
-pub(super) fn title(info: &RunInfo) -> String {
-    format!("Tracking of {}", info.source)
-}
-
-/// What is on the page; `pictures` is a section of it.
-pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally, pictures: &str) -> String {
+/// The title of the page, and what is on it; `pictures` is a section of it.
+pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally, pictures: &str) -> (String, String) {
     let any = tally.frames > 0;
     // The result comes first, then what is missing, then its reliability, then its origin.
     let mut body = header(info, tally);
@@ -41,7 +36,7 @@ pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally, pictures: &
          This file needs no network.</footer>\n",
         env!("CARGO_PKG_VERSION")
     );
-    body
+    (format!("Tracking of {}", info.source), body)
 }
 
 fn header(info: &RunInfo, tally: &Tally) -> String {
