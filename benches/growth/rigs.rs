@@ -131,16 +131,7 @@ fn rig(setup: &Setup) -> Result<Rig, Box<dyn Error + Send + Sync>> {
     }
     let last = setup.bands - 1;
     Ok(Rig {
-        camera: Camera {
-            size_px,
-            lens,
-            blur_px: Some(0.55),
-            chroma_offset_px: [0.0; 2],
-            colour_offset_px: [0.0; 2],
-            exposure_s: None,
-            readout_s: None,
-            gamma: None,
-        },
+        camera: Camera { blur_px: Some(0.55), ..Camera::new(size_px, lens) },
         surfaces,
         views,
         markers: markers(setup.bands)?,

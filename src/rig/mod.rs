@@ -175,6 +175,22 @@ pub struct Camera {
     pub gamma: Option<f64>,
 }
 
+impl Camera {
+    /// One of which no more is known than its lens, for pictures of this size.
+    pub fn new(size_px: [u32; 2], lens: Lens) -> Self {
+        Self {
+            size_px,
+            lens,
+            blur_px: None,
+            chroma_offset_px: [0.0; 2],
+            colour_offset_px: [0.0; 2],
+            exposure_s: None,
+            readout_s: None,
+            gamma: None,
+        }
+    }
+}
+
 /// One way the camera sees the markers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct View {

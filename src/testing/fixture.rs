@@ -29,16 +29,7 @@ pub(crate) fn rig() -> Rig {
         colours: rgb.map(|rgb| ColourModel::linear(Vector3::zeros(), 0.0, rgb.into())).into_iter().collect(),
     };
     Rig {
-        camera: Camera {
-            size_px: [1280, 1024],
-            lens,
-            blur_px: None,
-            chroma_offset_px: [0.0; 2],
-            colour_offset_px: [0.0; 2],
-            exposure_s: None,
-            readout_s: None,
-            gamma: None,
-        },
+        camera: Camera::new([1280, 1024], lens),
         surfaces: Default::default(),
         views: vec![view("direct"), view("mirror")],
         markers: vec![

@@ -100,13 +100,7 @@ impl Judge {
         let variance_px2 = self.slip.variance_px2(&mean_px);
         let left_px = mean_px - self.mean_slip_px;
         self.mean_slip_px = self.slip.mean_px_in(format);
-        let images = fitted.iter().filter_map(|Fitted { group, views, result }| {
-            let images = result.as_ref().ok()?.views.iter().map(|view| view.image.at_arc(0.0).pixel);
-            Some((group.reference, views.iter().copied().zip(images).collect()))
-        });
-        if self.stays.add(images) {
-            self.usual.forget();
-        }
+        self.follow_motion(fitted);
         let residuals: Vec<_> = fitted.iter().map(|fitted| self.residuals(encoding, fitted)).collect();
         let common = self.usual.common(residuals.iter().flatten().map(|one| (one.alike, one.view, one.rms)));
         let differences = |of_fit: &Vec<Residual>| -> Vec<f64> {
@@ -178,6 +172,17 @@ impl Judge {
             if views.iter().all(|v| self.usual.is_known(group.reference, *v)) {
                 group.members.iter().for_each(|(marker, _)| self.stretch[*marker] = group.reference);
             }
+        }
+    }
+
+    /// Notes where the bands are. When they move for the first time, what was seen of them at rest is forgotten.
+    fn follow_motion(&mut self, fitted: &[Fitted]) {
+        let images = fitted.iter().filter_map(|Fitted { group, views, result }| {
+            let images = result.as_ref().ok()?.views.iter().map(|view| view.image.at_arc(0.0).pixel);
+            Some((group.reference, views.iter().copied().zip(images).collect()))
+        });
+        if self.stays.add(images) {
+            self.usual.forget();
         }
     }
 

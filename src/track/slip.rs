@@ -11,8 +11,8 @@
 //! s² = Σ (δ'² − 1 / Σ w t²) / Σ (1 − h)², and s² Σ v vᵀ is what it adds to the covariance.
 //!
 //! A slip m common to all bands of all views is not the coder's: the chroma samples are not where the recording says,
-//! or not where they were when the rig was taught. That mean is removed from the following frames, and from the slips of
-//! which s² is formed: δ' − (1 − h) m. What a frame was fitted without moves all its bands alike.
+//! or not where they were when the rig was taught. That mean is removed from the following frames, and from the slips
+//! of which s² is formed: δ' − (1 − h) m. What a frame was fitted without moves all its bands alike.
 //!
 //! Pictures that store colour for each pixel are no different: most were made from ones with subsampled chroma, and a
 //! program that copies samples, or mistakes their siting, moves chroma by up to a pixel. In R, G and B a slip changes

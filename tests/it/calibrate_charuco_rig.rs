@@ -179,16 +179,7 @@ fn boards_seen_in_a_mirror_only_are_told_and_not_used() {
         save(&pictures.join(format!("{i}.png")), &[board], None);
     }
     let size_px = SIZE.map(|n| n as u32);
-    let camera = Camera {
-        size_px,
-        lens: lens(),
-        blur_px: None,
-        chroma_offset_px: [0.0; 2],
-        colour_offset_px: [0.0; 2],
-        exposure_s: None,
-        readout_s: None,
-        gamma: None,
-    };
+    let camera = Camera::new(size_px, lens());
     Draft::of_camera(camera).save(&folder.path().join("lens.toml")).unwrap();
     let refused = |args: &[&str], says: &str| {
         let output = catoptra(folder.path(), args);

@@ -62,16 +62,7 @@ fn frame() -> Vec<Point3<f64>> {
 }
 
 fn calibrate(folder: &Path, points: &str, more: &[&str]) -> Output {
-    let camera = Camera {
-        size_px: [1280, 1024],
-        lens: lens(),
-        blur_px: None,
-        chroma_offset_px: [0.0; 2],
-        colour_offset_px: [0.0; 2],
-        exposure_s: None,
-        readout_s: None,
-        gamma: None,
-    };
+    let camera = Camera::new([1280, 1024], lens());
     Draft::of_camera(camera).save(&folder.join("camera.toml")).unwrap();
     std::fs::write(folder.join("points.csv"), points).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));

@@ -84,16 +84,7 @@ fn camera() -> Camera {
         distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.0],
         denominator: [0.0; 3],
     };
-    Camera {
-        size_px: [1280, 1024],
-        lens,
-        blur_px: None,
-        chroma_offset_px: [0.0; 2],
-        colour_offset_px: [0.0; 2],
-        exposure_s: None,
-        readout_s: None,
-        gamma: None,
-    }
+    Camera::new([1280, 1024], lens)
 }
 
 #[test]
@@ -222,7 +213,7 @@ proptest! {
                 denominator = [0.0; 3];
             }
             let lens = Lens { focal_px: focal.into(), principal_point_px: centre.into(), distortion, denominator };
-            let camera = Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], colour_offset_px: [0.0; 2], exposure_s: None, readout_s: None, gamma: None };
+            let camera = Camera::new(size_px, lens);
             let text = format.write(&Draft::of_camera(camera.clone()), None, Path::new("rig.toml")).unwrap();
             prop_assert_eq!(Format::guess(&text, Path::new("f")).unwrap(), format);
             prop_assert_eq!(format.read(&text, Path::new("f")).unwrap(), camera);

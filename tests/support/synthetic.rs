@@ -63,16 +63,7 @@ pub(crate) fn rig() -> Rig {
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     let origin = turn * Point3::from(rest_base());
     Rig {
-        camera: Camera {
-            size_px: [1280, 1024],
-            lens,
-            blur_px: None,
-            chroma_offset_px: [0.0; 2],
-            colour_offset_px: [0.0; 2],
-            exposure_s: None,
-            readout_s: None,
-            gamma: None,
-        },
+        camera: Camera::new([1280, 1024], lens),
         surfaces,
         views,
         markers: vec![marker("base", 6.0, 6.0), marker("coil", 12.0, 85.0), marker("tip", 6.0, 107.0)],

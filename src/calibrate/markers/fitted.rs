@@ -13,9 +13,9 @@ use crate::track::{TrackOptions, Tracker};
 
 /// Frames used for the fit, and for the decision whether a gamma is needed.
 const TUNING_FRAMES: usize = 12;
+const JUDGING_FRAMES: usize = 48;
 /// How often chroma of pixels is measured again at the place where it was found: far off it looks nearer than it is.
 const SLIP_STEPS: usize = 3;
-const JUDGING_FRAMES: usize = 48;
 
 /// How far the tube between two bands may deviate from a circular arc: its excess length over the chord is uncertain by
 /// this fraction of chord · ψ², where ψ is the angle between the chord and the coil's tangent (an arc is longer by 1/6

@@ -169,13 +169,13 @@ fn wrong(what: &str) -> CatheterError {
 /// [`CatheterError::Fit`] when there is nothing to fit to, the noise is not known, or the search does not settle.
 pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions) -> Result<Fit, CatheterError> {
     // 1. shapes at rest
-    let (pauses, unsettled, scatter) = still::pauses(runs, options.settle_s, delay_s, options.stated_noise);
+    let stated = options.stated_noise.unwrap_or(Noise::NONE);
+    let (pauses, unsettled, scatter) = still::pauses(runs, options.settle_s, delay_s, &stated);
     let noise = match (scatter, options.stated_noise) {
-        (Some((point_m, angle_rad)), stated) if point_m > 0.0 && angle_rad > 0.0 => {
-            let (least_m, least_rad) = stated.map_or((0.0, 0.0), |noise| (noise.point_m, noise.angle_rad));
-            Noise { point_m: point_m.max(least_m), angle_rad: angle_rad.max(least_rad), missing: 0.0 }
+        (Some((point_m, angle_rad)), _) if point_m > 0.0 && angle_rad > 0.0 => {
+            Noise { point_m: point_m.max(stated.point_m), angle_rad: angle_rad.max(stated.angle_rad), missing: 0.0 }
         }
-        (_, Some(stated_noise)) => stated_noise,
+        (_, Some(stated)) => stated,
         _ => {
             return Err(wrong(
                 "no pause shows the noise: record some seconds at rest, or give runs with the tracker's own σ",

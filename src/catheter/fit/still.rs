@@ -59,7 +59,7 @@ pub(super) fn pauses(
     runs: &[Run],
     settle_s: f64,
     delay_s: f64,
-    stated: Option<Noise>,
+    stated: &Noise,
 ) -> (Vec<Pause>, usize, Option<(f64, f64)>) {
     let mut pauses = Vec::new();
     let mut unsettled = 0;
@@ -86,7 +86,7 @@ pub(super) fn pauses(
             let squares: f64 =
                 pairs().map(|(a, b)| (b.coil - a.coil).norm_squared() + (b.tip - a.tip).norm_squared()).sum::<f64>()
                     / 2.0;
-            let sd_m = (squares / (6.0 * (n - 1.0))).sqrt().max(stated.map_or(0.0, |noise| noise.point_m));
+            let sd_m = (squares / (6.0 * (n - 1.0))).sqrt().max(stated.point_m);
             let (early, late) = seen.split_at(half);
             let apart = (mean(early, |s| s.tip) - mean(late, |s| s.tip)).norm();
             if apart > UNSETTLED.0 * sd_m * 2.0 / n.sqrt() && apart > UNSETTLED.1 * sd_m {

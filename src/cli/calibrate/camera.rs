@@ -63,16 +63,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
             }
             old.with_lens(done.size_px, done.lens)
         }
-        None => Draft::of_camera(Camera {
-            size_px: done.size_px,
-            lens: done.lens,
-            blur_px: None,
-            chroma_offset_px: [0.0; 2],
-            colour_offset_px: [0.0; 2],
-            exposure_s: None,
-            readout_s: None,
-            gamma: None,
-        }),
+        None => Draft::of_camera(Camera::new(done.size_px, done.lens)),
     };
     let mut provenance = pictures::provenance("camera", &args.board, &searched)?;
     provenance.insert("corner_sd_px".into(), done.corner_sd_px.into());

@@ -161,16 +161,7 @@ fn camera(
     let lens =
         Lens { focal_px: Vector2::new(fx, fy), principal_point_px: Point2::new(cx, cy), distortion, denominator };
     lens.validate().map_err(|e| node.wrong(format!("a lens: {e}")))?;
-    Ok(Camera {
-        size_px,
-        lens,
-        blur_px: None,
-        chroma_offset_px: [0.0; 2],
-        colour_offset_px: [0.0; 2],
-        exposure_s: None,
-        readout_s: None,
-        gamma: None,
-    })
+    Ok(Camera::new(size_px, lens))
 }
 
 /// Numbers with all their digits, `1, 2.5` as `1.0, 2.5`. Never with an exponent: YAML 1.1 readers take 1e-5 for a
