@@ -26,7 +26,7 @@ const TOGETHER: usize = 90;
 /// So many positions in a row may have the same error, where a coder leaves a band as it was.
 const ALIKE: f64 = 15.0;
 /// Prior σ of how far the band moves when the coil turns, metres per radian: a fiftieth of a tube's length.
-const BENT_M: f64 = 2e-3;
+pub(super) const BENT_M: f64 = 2e-3;
 /// Square of the distance over the covariance of a single position beyond which the band has moved. Measured where
 /// nothing moved, from a line through all earlier positions: up to 0.6 in lossless recordings, up to 7 in coded ones.
 const MIN_CHI2: f64 = 12.0;

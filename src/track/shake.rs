@@ -5,11 +5,15 @@
 //! what its covariance explains, is shake, and belongs into the covariance of all positions. The line is there because
 //! a base that is pushed steadily does not shake. What neither shakes nor moves along the line rests.
 //!
+//! A band that is not quite at the clamp moves with the tube: in proportion to the turns of the coil, which shake does
+//! not turn. What these explain is no shake either.
+//!
 //! Cannot tell: vibration that moves only the picture of other bands; motion slower than the half second
-//! (moved.rs); shake too small beside the base's own covariance; shake from a base band so far from its clamp that it
-//! moves with the tube.
+//! (moved.rs); shake too small beside the base's own covariance, or in step with the coil.
 
+use crate::estimate::Position;
 use crate::source::Timestamp;
+use crate::track::moved::BENT_M;
 use nalgebra::{Matrix3, SymmetricEigen, U3, Vector3};
 use std::collections::VecDeque;
 
@@ -31,9 +35,18 @@ const MOVES_CHI2: f64 = 16.0;
 /// Recent positions of the base band.
 #[derive(Debug, Default)]
 pub(crate) struct Shake {
-    recent: VecDeque<(i64, Vector3<f64>, Matrix3<f64>)>,
+    recent: VecDeque<Sample>,
     seen: bool,
     rests: bool,
+}
+
+#[derive(Debug)]
+struct Sample {
+    ns: i64,
+    position: Vector3<f64>,
+    covariance: Matrix3<f64>,
+    /// Of the coil, if it was seen.
+    direction: Option<Vector3<f64>>,
 }
 
 impl Shake {
@@ -53,9 +66,11 @@ impl Shake {
         self.rests = false;
     }
 
-    /// Adds a position of the base band, m, with its covariance.
-    pub(crate) fn add(&mut self, stamp: Timestamp, position: Vector3<f64>, covariance: &Matrix3<f64>) {
-        self.recent.push_back((stamp.ns, position, *covariance));
+    /// Adds a position of the base band, m, with its covariance, and the direction of the coil, if it was seen.
+    pub(crate) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
+        let Position { point, covariance, .. } = *base;
+        let sample = Sample { ns: stamp.ns, position: point.coords, covariance, direction: direction.copied() };
+        self.recent.push_back(sample);
         if self.recent.len() > MAX_FRAMES {
             self.recent.pop_front();
         }
@@ -63,52 +78,12 @@ impl Shake {
 
     /// The covariance of the shake at a time, m²; zero if there is none.
     pub(crate) fn at(&mut self, stamp: Timestamp) -> Matrix3<f64> {
-        self.recent.retain(|(ns, ..)| (0..=WINDOW_NS).contains(&(stamp.ns - ns)));
-        let course = self.course();
+        self.recent.retain(|sample| (0..=WINDOW_NS).contains(&(stamp.ns - sample.ns)));
+        let course = Course::of(&self.recent);
         self.rests = course.as_ref().is_some_and(Course::is_at_rest);
-        let shake = course.and_then(|course| course.shake()).unwrap_or_else(Matrix3::zeros);
+        let shake = course.and_then(Course::shake).unwrap_or_else(Matrix3::zeros);
         self.seen |= shake.trace() > 0.0;
         shake
-    }
-
-    /// The straight line through the recent positions; `None` with too few of them.
-    fn course(&self) -> Option<Course> {
-        let count = self.recent.len();
-        if count < MIN_FRAMES {
-            return None;
-        }
-        let newest = self.recent.back()?.0;
-        let seconds = |ns: i64| (ns - newest) as f64 * 1e-9;
-        let (mut time, mut mean, mut expected) = (0.0, Vector3::zeros(), Matrix3::zeros());
-        for (ns, position, covariance) in &self.recent {
-            time += seconds(*ns) / count as f64;
-            mean += position / count as f64;
-            expected += covariance / count as f64;
-        }
-        let (mut times, mut slope) = (0.0, Vector3::zeros());
-        for (ns, position, _) in &self.recent {
-            let t = seconds(*ns) - time;
-            times += t * t;
-            slope += (position - mean) * t;
-        }
-        slope /= times;
-        // Two frames' worth is in the line.
-        let freedom = (count - 2) as f64;
-        let mut scatter = Matrix3::zeros();
-        for (ns, position, _) in &self.recent {
-            let off = position - mean - slope * (seconds(*ns) - time);
-            scatter += off * off.transpose() / freedom;
-        }
-        // Without time between the frames there is no line.
-        if !scatter.iter().all(|value| value.is_finite()) {
-            return None;
-        }
-        // In units of the expected covariance that is the identity.
-        let own = expected.cholesky()?.l();
-        let inverse = own.try_inverse()?;
-        let slope_chi2 = (inverse * slope).norm_squared() * times;
-        let ratios = (inverse * scatter * inverse.transpose()).symmetric_eigen();
-        Some(Course { freedom, slope_chi2, own, ratios })
     }
 }
 
@@ -118,25 +93,104 @@ struct Course {
     freedom: f64,
     /// Square of the slope in units of its own covariance.
     slope_chi2: f64,
-    /// Factor of the covariance expected of a position.
-    own: Matrix3<f64>,
-    /// The scatter about the line, in units of that covariance.
-    ratios: SymmetricEigen<f64, U3>,
+    /// What is left of the positions, and the turns of the coil; all turns are zero if one is not known.
+    left: Vec<[Vector3<f64>; 2]>,
+    /// The covariance expected of a position.
+    expected: Matrix3<f64>,
+    /// What is left, compared with it.
+    scatter: Scatter,
 }
 
 impl Course {
-    /// Whether the scatter may be chance.
-    fn is_steady(&self) -> bool {
-        self.ratios.eigenvalues.iter().all(|ratio| *ratio <= MIN_RATIO + MORE_WITH_FEW / self.freedom)
+    /// `None` with too few positions, or without time between them.
+    fn of(recent: &VecDeque<Sample>) -> Option<Self> {
+        let count = recent.len();
+        if count < MIN_FRAMES {
+            return None;
+        }
+        let newest = recent.back()?.ns;
+        let seen = recent.iter().all(|sample| sample.direction.is_some());
+        let both = |sample: &Sample| [sample.position, sample.direction.filter(|_| seen).unwrap_or_default()];
+        let seconds = |sample: &Sample| (sample.ns - newest) as f64 * 1e-9;
+        let (mut time, mut means, mut expected) = (0.0, [Vector3::zeros(); 2], Matrix3::zeros());
+        for sample in recent {
+            time += seconds(sample) / count as f64;
+            means.iter_mut().zip(both(sample)).for_each(|(mean, value)| *mean += value / count as f64);
+            expected += sample.covariance / count as f64;
+        }
+        let (mut times, mut slopes) = (0.0, [Vector3::zeros(); 2]);
+        for sample in recent {
+            let t = seconds(sample) - time;
+            times += t * t;
+            let values = both(sample).into_iter().zip(means);
+            slopes.iter_mut().zip(values).for_each(|(slope, (value, mean))| *slope += (value - mean) * t);
+        }
+        slopes.iter_mut().for_each(|slope| *slope /= times);
+        let left = |sample: &Sample| {
+            let [position, turn] = both(sample);
+            let t = seconds(sample) - time;
+            [position - means[0] - slopes[0] * t, turn - means[1] - slopes[1] * t]
+        };
+        let left: Vec<_> = recent.iter().map(left).collect();
+        // Two frames' worth is in the line.
+        let freedom = (count - 2) as f64;
+        let scatter = Scatter::of(left.iter().map(|[position, _]| *position), freedom, &expected)?;
+        let slope_chi2 = slopes[0].dot(&expected.cholesky()?.solve(&slopes[0])) * times;
+        Some(Self { freedom, slope_chi2, left, expected, scatter })
     }
 
     fn is_at_rest(&self) -> bool {
-        self.freedom >= MIN_FREEDOM_AT_REST && self.slope_chi2 < MOVES_CHI2 && self.is_steady()
+        self.freedom >= MIN_FREEDOM_AT_REST && self.slope_chi2 < MOVES_CHI2 && self.scatter.is_chance()
     }
 
-    /// The scatter beyond the expected; `None` when it is chance.
-    fn shake(mut self) -> Option<Matrix3<f64>> {
-        if self.is_steady() {
+    /// The scatter beyond what is expected and what the turns of the coil explain; `None` when it is chance.
+    fn shake(self) -> Option<Matrix3<f64>> {
+        if self.scatter.is_chance() {
+            return None;
+        }
+        let (mut squares, mut products) = (Matrix3::zeros(), Matrix3::zeros());
+        for [position, turn] in &self.left {
+            squares += turn * turn.transpose();
+            products += turn * position.transpose();
+        }
+        let prior = Matrix3::from_diagonal_element(self.expected.trace() / 3.0 / BENT_M.powi(2));
+        let known = (squares + prior).cholesky()?;
+        let bend = known.solve(&products);
+        let freedom = self.freedom - known.solve(&squares).trace();
+        let rest = self.left.iter().map(|[position, turn]| position - bend.tr_mul(turn));
+        Scatter::of(rest, freedom, &self.expected)?.beyond_chance()
+    }
+}
+
+/// How far values scatter.
+struct Scatter {
+    freedom: f64,
+    /// Factor of the expected covariance.
+    own: Matrix3<f64>,
+    /// The covariance in units of the expected one.
+    ratios: SymmetricEigen<f64, U3>,
+}
+
+impl Scatter {
+    fn of(values: impl Iterator<Item = Vector3<f64>>, freedom: f64, expected: &Matrix3<f64>) -> Option<Self> {
+        let scatter: Matrix3<f64> = values.map(|value| value * value.transpose() / freedom).sum();
+        if freedom <= 0.0 || !scatter.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        let own = expected.cholesky()?.l();
+        // In units of the expected covariance that is the identity.
+        let inverse = own.try_inverse()?;
+        let ratios = (inverse * scatter * inverse.transpose()).symmetric_eigen();
+        Some(Self { freedom, own, ratios })
+    }
+
+    fn is_chance(&self) -> bool {
+        self.ratios.eigenvalues.iter().all(|ratio| *ratio <= MIN_RATIO + MORE_WITH_FEW / self.freedom)
+    }
+
+    /// What is beyond the expected; `None` when it is chance.
+    fn beyond_chance(mut self) -> Option<Matrix3<f64>> {
+        if self.is_chance() {
             return None;
         }
         self.ratios.eigenvalues.apply(|ratio| *ratio = (*ratio - 1.0).max(0.0));
@@ -149,17 +203,30 @@ mod tests {
     use super::*;
     use crate::source::Clock;
     use crate::testing::random::Random;
+    use nalgebra::Point3;
 
     const SD_M: f64 = 3e-5;
 
+    fn base(position: Vector3<f64>) -> Position {
+        let covariance = Matrix3::from_diagonal_element(SD_M * SD_M);
+        Position { point: Point3::from(position), covariance, bound: covariance }
+    }
+
     /// The covariances of shake for a base that moves as told by the time in seconds, measured with honest errors.
     fn shake(way: impl Fn(f64) -> Vector3<f64>) -> Vec<Matrix3<f64>> {
+        shake_turning(|_| 0.0, way)
+    }
+
+    /// The same with a coil that turns by the angle, radians, and is seen with honest errors.
+    fn shake_turning(turn: impl Fn(f64) -> f64, way: impl Fn(f64) -> Vector3<f64>) -> Vec<Matrix3<f64>> {
         let (mut dice, mut shake) = (Random::new(3), Shake::default());
         let frame = |i: i64| {
             let error = Vector3::new(dice.normal(), dice.normal(), dice.normal()) * SD_M;
             let stamp = Timestamp { ns: i * 16_666_667, clock: Clock::Container };
-            let position = Vector3::new(0.1, 0.2, 1.4) + way(stamp.ns as f64 * 1e-9) + error;
-            shake.add(stamp, position, &(Matrix3::identity() * SD_M * SD_M));
+            let time = stamp.ns as f64 * 1e-9;
+            let position = Vector3::new(0.1, 0.2, 1.4) + way(time) + error;
+            let (sin, cos) = (turn(time) + 3e-3 * dice.normal()).sin_cos();
+            shake.add(stamp, &base(position), Some(&Vector3::new(sin, cos, 0.0)));
             shake.at(stamp)
         };
         (0..600).map(frame).collect()
@@ -180,7 +247,7 @@ mod tests {
         for i in 0..600 {
             let error = Vector3::new(dice.normal(), dice.normal(), dice.normal()) * SD_M;
             let stamp = Timestamp { ns: i * 16_666_667, clock: Clock::Container };
-            shake.add(stamp, way(stamp.ns as f64 * 1e-9) + error, &(Matrix3::identity() * SD_M * SD_M));
+            shake.add(stamp, &base(way(stamp.ns as f64 * 1e-9) + error), None);
             shake.at(stamp);
             resting += i32::from(shake.is_at_rest());
         }
@@ -194,6 +261,24 @@ mod tests {
         let pushed = at_rest(|t| Vector3::new(6e-4 * t, 0.0, 0.0));
         let vibrating = at_rest(|t| Vector3::y() * (1.5e-4 * (50.0 * t).sin()));
         assert!(pushed < 0.05 && vibrating < 0.05, "{pushed}, {vibrating}");
+    }
+
+    #[test]
+    fn a_base_that_the_tube_bends_does_not_shake() {
+        let turn = |t: f64| 0.6 * (9.0 * t).sin();
+        for (mm_per_radian, vibration_m) in [(0.5, 0.0), (3.0, 0.0), (3.0, 2e-4)] {
+            let bent = |t: f64| Vector3::new(1e-3 * mm_per_radian * turn(t).sin(), 0.0, 0.0);
+            let shake = shake_turning(turn, |t| bent(t) + Vector3::z() * (vibration_m * (50.0 * t).sin()));
+            let settled = &shake[40..];
+            let shaken = settled.iter().filter(|shake| shake.trace() > 0.0).count();
+            let of_vibration = settled.iter().map(Matrix3::trace).sum::<f64>() / settled.len() as f64;
+            if vibration_m == 0.0 {
+                assert!(shaken < 3, "{shaken} frames at {mm_per_radian} mm per radian");
+            } else {
+                let part = of_vibration / (vibration_m * vibration_m / 2.0);
+                assert!((0.8..1.2).contains(&part), "{part}");
+            }
+        }
     }
 
     #[test]
@@ -215,7 +300,7 @@ mod tests {
         let mut shake = Shake::default();
         let mut at = |ns: i64, x: f64| {
             let stamp = Timestamp { ns, clock: Clock::Container };
-            shake.add(stamp, Vector3::x() * x, &(Matrix3::identity() * SD_M * SD_M));
+            shake.add(stamp, &base(Vector3::x() * x), None);
             shake.at(stamp).trace()
         };
         (0..MIN_FRAMES as i64).for_each(|i| assert_eq!(at(1_000_000_000 + i * 1_000_000, 0.0), 0.0));

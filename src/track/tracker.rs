@@ -464,8 +464,9 @@ impl Tracker {
         let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
         let base = estimate.markers.first().map(|base| &base.position);
         if let (Some(Ok(base)), Some(_)) = (base, &self.rig.base) {
-            self.shake.add(stamp, base.point.coords, &base.covariance);
-            self.moved.add(stamp, base, estimate.tangent.as_ref().ok().map(|tangent| &tangent.direction));
+            let direction = estimate.tangent.as_ref().ok().map(|tangent| &tangent.direction);
+            self.shake.add(stamp, base, direction);
+            self.moved.add(stamp, base, direction);
         }
         // A knock is both for half a second.
         let (shake, moved) = (self.shake.at(stamp), self.moved.covariance());
