@@ -203,6 +203,13 @@ fn bad_input_is_named() {
         |size: &str| rig(&[&sample("mirror"), "--tank", size, "--glass", "5mm", "--distance", "front_wall=1264mm:2mm"]);
     refused(3, "behind the front of front_wall, and the tank is 100 mm deep", &tank("254x100x267mm"));
     refused(3, "along front_wall, and the tank is 100 mm along its diagonal", &tank("80x254x60mm"));
+    // Each fails differently; what is wrong is the distance.
+    for distance_mm in [1220, 1330] {
+        let distance = format!("front_wall={distance_mm}mm:2mm");
+        let given = ["--tank", "254x254x267mm", "--glass", "5mm", "--distance", &distance];
+        let told = format!("mm from the camera, and it was given as {distance_mm} ± 2 mm: is that right? With it, ");
+        refused(3, &told, &rig(&[&[&*sample("mirror")], &given[..]].concat()));
+    }
     refused(2, "expected 0 to 50", &rig(&[&sample("mirror"), "--glass", "5mm", "--temperature", "99"]));
     refused(2, "no surface `wall`", &rig(&[&a, &b, &c, "--glass", "5mm", "--distance", "wall=1264mm:2mm"]));
 }

@@ -66,6 +66,25 @@ pub enum RigCalibrationError {
         /// Which size that is.
         side: &'static str,
     },
+    /// A measured distance that the pictures contradict, and with which there is no calibration.
+    #[error(
+        "by the pictures alone {name} is {found_mm:.0} ± {sd_mm:.0} mm from the camera, and it was given as \
+         {given_mm:.0} ± {given_sd_mm:.0} mm: is that right? With it, {why}"
+    )]
+    Distance {
+        /// Name of the surface.
+        name: String,
+        /// As given.
+        given_mm: f64,
+        /// Its σ.
+        given_sd_mm: f64,
+        /// Without it.
+        found_mm: f64,
+        /// Its σ.
+        sd_mm: f64,
+        /// What fails with it.
+        why: Box<Self>,
+    },
     /// Coordinates of points in a left-handed frame.
     #[error(
         "the points fit the pictures only when they are mirrored: x_mm, y_mm and z_mm are coordinates in a left-handed \

@@ -43,7 +43,7 @@ use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::{Parameter, tilt_axes};
 use crate::optics::{Lens, OpticalPath};
 use crate::rig::{Draft, View};
-use error::FEWEST_PICTURES;
+use error::{FEWEST_PICTURES, surface};
 use initial::{Initial, SortedPicture, Unusable, start};
 use nalgebra::{Point2, Vector2, Vector3};
 use regions::regions;
@@ -53,6 +53,9 @@ use walls::{first_geometry, held, known};
 
 /// Initial distances of walls in front of the nearest corner, metres.
 const MARGINS_M: [f64; 3] = [0.03, 0.08, 0.15];
+
+/// Where there is no calibration, a measured distance that is off by this many standard deviations is doubted.
+const DOUBT_SD: f64 = 2.0;
 
 /// Relative error of a board's distance from a single view.
 const POSE_ERROR: f64 = 0.02;
@@ -114,12 +117,51 @@ struct Target<'a> {
     board: Option<&'a Board>,
 }
 
-/// Adjusts all from `start`; pictures that fit much worse than the others are left out.
+/// Adjusts all from `start`. Where that fails, each measured distance is doubted.
 fn adjusted(
     target: &Target<'_>,
     lens: &Lens,
-    mut start: Initial,
+    start: Initial,
     names: Vec<String>,
+    options: &RigOptions,
+) -> Result<RigCalibration, RigCalibrationError> {
+    use RigCalibrationError::{BeyondTank, InsufficientPictures, Solve};
+    let adjust = |options: &RigOptions| adjusted_as_given(target, lens, start.clone(), &names, options);
+    adjust(options).map_err(|why| match why {
+        BeyondTank { .. } | InsufficientPictures(_) | Solve(_) => doubted(why, options, adjust),
+        other => other,
+    })
+}
+
+/// The reason why there is no calibration, or the measured distance without which there is one that contradicts it.
+fn doubted(
+    why: RigCalibrationError,
+    options: &RigOptions,
+    adjust: impl Fn(&RigOptions) -> Result<RigCalibration, RigCalibrationError>,
+) -> RigCalibrationError {
+    for (i, (name, given_m, given_sd_m)) in options.distances_m.iter().enumerate() {
+        let mut others = options.clone();
+        others.distances_m.remove(i);
+        let Ok(RigCalibration { solution, .. }) = adjust(&others) else { continue };
+        let Ok(surface) = surface(&solution.geometry, name) else { continue };
+        let offset = Parameter::Offset { surface };
+        let Some(at) = solution.free.iter().position(|parameter| *parameter == offset) else { continue };
+        let (found_m, sd_m) = (solution.geometry.value(offset).abs(), solution.covariance[(at, at)].sqrt());
+        if (found_m - given_m).abs() > DOUBT_SD * sd_m.hypot(*given_sd_m) {
+            let [given_mm, given_sd_mm, found_mm, sd_mm] = [*given_m, *given_sd_m, found_m, sd_m].map(|m| m * 1e3);
+            let name = name.clone();
+            return RigCalibrationError::Distance { name, given_mm, given_sd_mm, found_mm, sd_mm, why: Box::new(why) };
+        }
+    }
+    why
+}
+
+/// Adjusts all from `start`; pictures that fit much worse than the others are left out.
+fn adjusted_as_given(
+    target: &Target<'_>,
+    lens: &Lens,
+    mut start: Initial,
+    names: &[String],
     options: &RigOptions,
 ) -> Result<RigCalibration, RigCalibrationError> {
     let name = |picture: usize| names.get(picture).cloned().unwrap_or_default();
