@@ -10,6 +10,7 @@ use crate::track::equations::Eliminated;
 use crate::track::fields::RowShift;
 use crate::track::fringes::Pair;
 use crate::track::grain::Differences;
+use crate::track::mosaic::Mosaic;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
 use crate::track::padded::{PADDED, Padded, products, unpadded_square};
@@ -284,6 +285,7 @@ impl Comparison {
     /// As [`Patch::select`].
     pub(crate) fn select(
         picture: &Picture,
+        mosaic: Option<Mosaic>,
         shown: &Shown<'_>,
         chroma_offset_px: [f64; 2],
         density: Density,
@@ -291,7 +293,7 @@ impl Comparison {
     ) -> Result<Self, NoFit> {
         let spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut comparison = Self { memory: spare.unwrap_or_default(), scores: None };
-        comparison.memory.patch.select(picture, shown, chroma_offset_px, density, margin_px)?;
+        comparison.memory.patch.select(picture, mosaic, shown, chroma_offset_px, density, margin_px)?;
         comparison.memory.prepare();
         Ok(comparison)
     }
@@ -335,6 +337,7 @@ impl Comparison {
                     for ((residual, stored), predicted) in residuals.iter_mut().zip(stored).zip(&*predicted) {
                         *residual = stored - predicted - channel.constant;
                     }
+                    zero_where_interpolated(layer, channel, residuals);
                     continue;
                 }
                 for ((residual, stored), taps) in residuals.iter_mut().zip(stored).zip(layer.neighbourhoods()) {
@@ -351,7 +354,7 @@ impl Comparison {
         let Memory { patch, near, channels, .. } = &mut self.memory;
         let mut channels = channels.iter_mut();
         for (layer, near) in patch.layers().zip(&*near) {
-            let near_count = layer.near().filter(|near| *near).count();
+            let counts = layer.counts();
             for (channel, compared) in layer.channels.iter().zip(&mut channels) {
                 let noise = &noise[usize::from(channel.number)];
                 let per_sigma = noise.map(|sigma| (1.0 / sigma) as f32);
@@ -364,8 +367,9 @@ impl Comparison {
                     inside[0] += f64::from(of_near);
                     inside[1] += f64::from(of_far);
                 }
+                zero_where_interpolated(layer, channel, weights);
                 weighed.cost += cost;
-                let counts = [near_count, near.len() - near_count];
+                let counts = counts[usize::from(channel.number)];
                 let squares = &mut weighed.squares[usize::from(channel.number)];
                 for (i, (sum, count)) in squares.iter_mut().enumerate() {
                     *sum += inside[i] * noise[i] * noise[i];
@@ -521,6 +525,15 @@ impl Comparison {
             }
         }
         differences
+    }
+}
+
+/// Leaves out what a channel's pixels did not see.
+fn zero_where_interpolated(layer: &Layer, channel: &Channel, values: &mut [f32]) {
+    for (value, seen) in values.iter_mut().zip(&layer.seen) {
+        if *seen != channel.number {
+            *value = 0.0;
+        }
     }
 }
 

@@ -243,6 +243,7 @@ mod tests {
     use crate::track::fringes::apart;
     use crate::track::image_model::ModelError;
     use crate::track::light::Encoding;
+    use crate::track::mosaic::Mosaic;
     use nalgebra::Vector3;
 
     /// The image model is assumed exact, so that the covariance is that of the noise alone.
@@ -250,7 +251,7 @@ mod tests {
         let error =
             ModelError { across_px: 0.0, along_px: 0.0, turn_px: 0.0, along_at_clamp_px: 0.0, ..ModelError::FULL };
         let encoding = Encoding::new(TRANSFER);
-        ImageModel { encoding, chroma_offset_px: [0.0; 2], error }
+        ImageModel { encoding, chroma_offset_px: [0.0; 2], mosaic: None, error }
     }
 
     fn stretch() -> Stretch {
@@ -296,6 +297,29 @@ mod tests {
             let turn = found.shape.tangent().angle(&tube.direction).to_degrees();
             assert!(turn < 0.05, "{direction:?}: {turn}°");
         }
+    }
+
+    /// What was interpolated moves the tube; what was seen does not, and its noise is known.
+    #[test]
+    fn of_a_mosaic_only_what_was_seen_is_compared() {
+        let sensor = Sensor { mosaic: true, ..Sensor::default() };
+        let [mut seen, mut all] = [(0.0, 0.0); 2];
+        for seed in 0..12 {
+            let tube = Tube::along(Vector3::new(0.04 * seed as f64 - 0.2, 1.0, 0.05));
+            let picture = tube.picture(sensor, seed);
+            let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
+            for (mosaic, (squares_m2, chi2)) in [(Some(Mosaic::SIMULATED), &mut seen), (None, &mut all)] {
+                let model = ImageModel { mosaic, error: ModelError::FULL, ..model() };
+                let fit = fitting(&stretch(), &views(), &model, &picture).fit(&start).unwrap();
+                let error_m = fit.shape.centre - tube.centre;
+                let covariance = fit.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+                *squares_m2 += error_m.norm_squared();
+                *chi2 += error_m.dot(&covariance.cholesky().unwrap().solve(&error_m)) / 36.0;
+            }
+        }
+        println!("seen: χ² {:.2}, all: χ² {:.2}, errors {:.2} times as large", seen.1, all.1, (all.0 / seen.0).sqrt());
+        assert!(seen.1 < 1.7 && all.1 > 2.0, "{seen:?}, {all:?}");
+        assert!(all.0 > 2.0 * seen.0, "{all:?}, {seen:?}");
     }
 
     /// Each view sees the boundary between light and dark. With the first harmonics of the light alone the tube is off

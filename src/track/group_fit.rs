@@ -293,6 +293,7 @@ mod tests {
         let model = ImageModel {
             encoding: Encoding::new(picture.colour().transfer),
             chroma_offset_px: rig.camera.chroma_offset_px,
+            mosaic: None,
             error: ModelError::CODED,
         };
         let frame = Frame {

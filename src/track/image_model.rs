@@ -2,6 +2,7 @@
 
 use crate::source::Picture;
 use crate::track::light::Encoding;
+use crate::track::mosaic::Mosaic;
 
 /// Parameters of the image model, the same for all views.
 #[derive(Debug, Clone)]
@@ -9,6 +10,8 @@ pub(crate) struct ImageModel {
     pub encoding: Encoding,
     /// Offset of the chroma samples from where the stream puts them, pixels.
     pub chroma_offset_px: [f64; 2],
+    /// Of the sensor, if its pixels saw one colour each.
+    pub mosaic: Option<Mosaic>,
     /// At the blur at which it was measured.
     pub error: ModelError,
 }

@@ -29,6 +29,7 @@ mod lamp;
 mod last;
 mod light;
 mod light_change;
+mod mosaic;
 mod motion;
 mod moved;
 mod no_fit;

@@ -9,6 +9,7 @@ use crate::source::{Picture, Plane};
 use crate::track::appearance::{BACKGROUND, CAP, Layout, segment_at};
 use crate::track::channel::{Beside, Channel};
 use crate::track::light::Encoding;
+use crate::track::mosaic::Mosaic;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::Span;
 use crate::track::places::{Density, Field, NONE, Place, Places, Spans};
@@ -47,6 +48,8 @@ pub(crate) struct Layer {
     outside: Vec<f32>,
     /// Cells of correlated errors.
     pub cells: Vec<u32>,
+    /// The only channel that each pixel saw; empty if it saw all.
+    pub seen: Vec<u8>,
     pub strips: Vec<Strip>,
     /// Column and row of each in its plane, and the index of its pixel, the central one of a neighbourhood.
     at: Vec<[usize; 2]>,
@@ -61,7 +64,7 @@ pub(crate) struct Layer {
 
 impl Layer {
     /// Takes pixels, still without channels and cells.
-    fn take_pixels(&mut self, places: &[Place], field: &Field, middle: &Vector2<f64>) {
+    fn take_pixels(&mut self, places: &[Place], field: &Field, middle: &Vector2<f64>, mosaic: Option<Mosaic>) {
         for (axis, to) in [&mut self.x, &mut self.y].into_iter().enumerate() {
             let (corner, middle) = (field.corner[axis], middle[axis]);
             refill(to, places.iter().map(|place| ((corner + i64::from(place.at[axis])) as f64 - middle) as f32));
@@ -70,6 +73,8 @@ impl Layer {
         refill(&mut self.outside, places.iter().map(|place| place.outside));
         refill(&mut self.at, places.iter().map(|place| field.pixel(place).map(|v| v as usize)));
         take_strips(&mut self.strips, places.iter());
+        let seen = mosaic.into_iter().flat_map(|mosaic| self.at.iter().map(move |at| mosaic.channel(*at)));
+        refill(&mut self.seen, seen);
         self.channels.clear();
         self.spread_px2 = Vector2::zeros();
     }
@@ -152,6 +157,19 @@ impl Layer {
     /// For each point, whether it is near the tube.
     pub(crate) fn near(&self) -> impl Iterator<Item = bool> {
         self.outside.iter().map(|outside| *outside <= NEAR_PX)
+    }
+
+    /// How many of its points are near the tube, and how many are not: those at which R, G or B was seen.
+    pub(crate) fn counts(&self) -> [[usize; 2]; 3] {
+        let mut counts = [[0; 2]; 3];
+        if self.seen.is_empty() {
+            let near = self.near().filter(|near| *near).count();
+            return [[near, self.x.len() - near]; 3];
+        }
+        for (seen, near) in self.seen.iter().zip(self.near()) {
+            counts[usize::from(*seen)][usize::from(!near)] += 1;
+        }
+        counts
     }
 
     /// The neighbourhoods of subsampled points: pixels and weights.
@@ -267,6 +285,7 @@ impl Patch {
     pub(crate) fn select(
         &mut self,
         picture: &Picture,
+        mosaic: Option<Mosaic>,
         shown: &Shown<'_>,
         chroma_offset_px: [f64; 2],
         density: Density,
@@ -283,7 +302,7 @@ impl Patch {
         spans.find(&self.field, range, density, &mut self.places);
         self.field.number(&self.places.list);
         (self.middle, self.spans) = (middle, spans.list);
-        self.pixels.take_pixels(&self.places.list, &self.field, &middle);
+        self.pixels.take_pixels(&self.places.list, &self.field, &middle, mosaic);
         self.divide();
         self.colour_channels = if picture.format().is_yuv() { [1, 2] } else { [0, 2] };
         let Self { pixels, samples, places, field, .. } = self;

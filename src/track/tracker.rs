@@ -21,6 +21,7 @@ use crate::track::lag::Lag;
 use crate::track::lamp::Lamp;
 use crate::track::last::Last;
 use crate::track::light::Encoding;
+use crate::track::mosaic::Interpolated;
 use crate::track::motion::Motion;
 use crate::track::moved::Moved;
 use crate::track::order::Order;
@@ -99,6 +100,7 @@ pub struct Tracker {
     moved: Moved,
     repeats: Repeats,
     pairs: Pairs,
+    interpolated: Interpolated,
     grain: Grain,
     fields: Fields,
     fringes: Fringes,
@@ -123,6 +125,7 @@ impl Tracker {
             model: ImageModel {
                 encoding: rig.camera.gamma.map_or_else(|| Encoding::new(transfer), Encoding::power),
                 chroma_offset_px: rig.camera.chroma_offset_px,
+                mosaic: None,
                 error: ModelError::CODED,
             },
             transfer,
@@ -138,6 +141,7 @@ impl Tracker {
             moved: Moved::default(),
             repeats: Repeats::default(),
             pairs: Pairs::default(),
+            interpolated: Interpolated::default(),
             grain: Grain::default(),
             fields: Fields::default(),
             fringes: Fringes::default(),
@@ -211,6 +215,7 @@ impl Tracker {
             found => found?,
         };
         self.pairs.add(picture, &found.blobs);
+        self.look_for_mosaic(picture, &found);
         let (converted, noisy) = (self.pairs.are_alike(), self.grain.is_sensor());
         self.model.error = ModelError::of(picture, converted, noisy);
         // 2. the tube around them, fitted to the pictures of all views
@@ -322,8 +327,20 @@ impl Tracker {
     fn fit_alone(&mut self, frame: &Frame) -> Option<(Found, Vec<Fitted>)> {
         let found = self.finder.find_alone(&self.rig, frame)?;
         self.follow_chroma(frame.picture.format());
+        self.look_for_mosaic(&frame.picture, &found);
         let fitted = self.fit(frame, &found, COMPARED_PX);
         Some((found, fitted))
+    }
+
+    /// Looks for the mosaic of a sensor. What its pixels saw lies where they are, also where the colours lie apart: the
+    /// judge adds that to σ.
+    fn look_for_mosaic(&mut self, picture: &Picture, found: &Found) {
+        self.interpolated.add(picture, &found.blobs);
+        self.model.mosaic = self.interpolated.mosaic();
+        if self.model.mosaic.is_some() {
+            self.model.chroma_offset_px = [0.0; 2];
+            self.judge.mean_slip_px = Vector2::zeros();
+        }
     }
 
     /// Takes the offset of chroma that was taught for pictures of this format, less what has been seen since.
