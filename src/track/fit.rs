@@ -317,7 +317,8 @@ mod tests {
                 *chi2 += error_m.dot(&covariance.cholesky().unwrap().solve(&error_m)) / 36.0;
             }
         }
-        println!("seen: χ² {:.2}, all: χ² {:.2}, errors {:.2} times as large", seen.1, all.1, (all.0 / seen.0).sqrt());
+        let times = (all.0 / seen.0).sqrt();
+        println!("seen: χ² {:.2}, all: χ² {:.2}, errors {times:.2} times as large", seen.1, all.1);
         assert!(seen.1 < 1.7 && all.1 > 2.0, "{seen:?}, {all:?}");
         assert!(all.0 > 2.0 * seen.0, "{all:?}, {seen:?}");
     }

@@ -5,9 +5,9 @@
 //! rests, and share the noise of their neighbours. Where a mosaic is recognised, only what the pixels saw is compared.
 //!
 //! A value that was interpolated linearly lies between its neighbours, whatever curve or factor was applied to it
-//! afterwards. A value that was seen has noise of its own, and often does not. Both are counted around all bands so far.
-//! So are values that equal what the filters of Malvar, He and Cutler give, which follow the gradients of the colour that
-//! was seen (2004, doi:10.1109/ICASSP.2004.1326587).
+//! afterwards. A value that was seen has noise of its own, and often does not. Both are counted around all bands so
+//! far. So are values that equal what the filters of Malvar, He and Cutler give, which follow the gradients of the
+//! colour that was seen (2004, doi:10.1109/ICASSP.2004.1326587).
 //!
 //! Cannot detect: other interpolation, colours that were mixed or changed by a curve after gradients were followed, and
 //! pictures that were resized or coded with losses.
@@ -33,6 +33,10 @@ pub(crate) struct Mosaic {
     red: [usize; 2],
 }
 
+/// Sixteenths: of the pixel, the next in its row and in its column, those across the corners, and the next but one in
+/// row and column.
+type Filter = [i32; 6];
+
 impl Mosaic {
     /// That of the simulated sensor.
     #[cfg(test)]
@@ -46,13 +50,7 @@ impl Mosaic {
             _ => 1,
         }
     }
-}
 
-/// Sixteenths: of the pixel, the next in its row and in its column, those across the corners, and the next but one in
-/// row and column.
-type Filter = [i32; 6];
-
-impl Mosaic {
     /// The filter that gives a channel at a pixel which did not see it.
     fn filter(self, channel: usize, [x, y]: [usize; 2]) -> Option<Filter> {
         let seen = usize::from(self.channel([x, y]));
@@ -134,6 +132,7 @@ impl Interpolated {
                 }
             }
         }
+        // Nor does it of the filters.
         let _ = self.add_filtered(picture, bounds);
     }
 
@@ -161,10 +160,8 @@ impl Interpolated {
     /// The mosaic, if there is one.
     pub(crate) fn mosaic(&self) -> Option<Mosaic> {
         let is_filtered = |[all, given]: [u32; 2]| all >= 8 * FEWEST && is_part(given, all, INTERPOLATED);
-        let all = MOSAICS.into_iter().zip(self.filtered);
-        all.into_iter()
-            .find(|(mosaic, filtered)| self.is_linear(*mosaic) || is_filtered(*filtered))
-            .map(|(mosaic, _)| mosaic)
+        let mut all = MOSAICS.into_iter().zip(self.filtered);
+        Some(all.find(|(mosaic, filtered)| self.is_linear(*mosaic) || is_filtered(*filtered))?.0)
     }
 
     fn is_linear(&self, Mosaic { red: [x, y] }: Mosaic) -> bool {

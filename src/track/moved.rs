@@ -26,7 +26,7 @@ const TOGETHER: usize = 90;
 /// So many positions in a row may have the same error, where a coder leaves a band as it was.
 const ALIKE: f64 = 15.0;
 /// Prior σ of how far the band moves when the coil turns, metres per radian: a fiftieth of a tube's length.
-pub(super) const BENT_M: f64 = 2e-3;
+const BENT_M: f64 = 2e-3;
 /// Square of the distance over the covariance of a single position beyond which the band has moved. Measured where
 /// nothing moved, from a line through all earlier positions: up to 0.6 in lossless recordings, up to 7 in coded ones.
 const MIN_CHI2: f64 = 12.0;
@@ -74,9 +74,23 @@ struct Sums {
 
 /// Products of directions with themselves and with positions.
 #[derive(Debug, Default, Clone, Copy)]
-struct Bends {
-    squares: Matrix3<f64>,
+pub(super) struct Bends {
+    pub squares: Matrix3<f64>,
     products: Matrix3<f64>,
+}
+
+impl Bends {
+    pub(super) fn add(&mut self, direction: &Vector3<f64>, position: &Vector3<f64>, weight: f64) {
+        self.squares += direction * direction.transpose() * weight;
+        self.products += direction * position.transpose() * weight;
+    }
+
+    /// How far positions move when directions turn (its transpose, applied to a turn, gives a way), and how uncertain
+    /// that is for each coordinate, with weights that are one over variances, m²; the prior is in both.
+    pub(super) fn slope(&self) -> Option<(Matrix3<f64>, Matrix3<f64>)> {
+        let uncertain = (self.squares + Matrix3::from_diagonal_element(BENT_M.powi(-2))).cholesky()?.inverse();
+        Some((uncertain * self.products, uncertain))
+    }
 }
 
 impl std::ops::Add for Bends {
@@ -93,8 +107,7 @@ impl Sums {
         self.weight += weight;
         self.direction += direction * weight;
         self.position += position * weight;
-        self.bends.squares += direction * direction.transpose() * weight;
-        self.bends.products += direction * position.transpose() * weight;
+        self.bends.add(direction, position, weight);
     }
 
     /// The products about the means.
@@ -169,8 +182,7 @@ impl Moved {
         }
         let count = self.latest.len() as f64;
         let known = self.first.scatter() + self.bends + self.now.scatter();
-        let uncertain = (known.squares + Matrix3::from_diagonal_element(BENT_M.powi(-2))).cholesky()?.inverse();
-        let slope = uncertain * known.products;
+        let (slope, uncertain) = known.slope()?;
         let usual = self.all.direction / self.all.weight;
         let sum = self.latest.iter().map(|sample| sample.direction.unwrap_or(usual)).sum::<Vector3<f64>>();
         let turned = sum / count - self.first.direction / self.first.weight;

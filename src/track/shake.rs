@@ -13,7 +13,7 @@
 
 use crate::estimate::Position;
 use crate::source::Timestamp;
-use crate::track::moved::BENT_M;
+use crate::track::moved::Bends;
 use nalgebra::{Matrix3, SymmetricEigen, U3, Vector3};
 use std::collections::VecDeque;
 
@@ -80,67 +80,73 @@ impl Shake {
     pub(crate) fn at(&mut self, stamp: Timestamp) -> Matrix3<f64> {
         self.recent.retain(|sample| (0..=WINDOW_NS).contains(&(stamp.ns - sample.ns)));
         let course = Course::of(&self.recent);
-        self.rests = course.as_ref().is_some_and(Course::is_at_rest);
-        let shake = course.and_then(Course::shake).unwrap_or_else(Matrix3::zeros);
+        let rests = course.as_ref().is_some_and(Course::is_at_rest);
+        let shake = course.and_then(|course| course.shake()).unwrap_or_else(Matrix3::zeros);
+        self.rests = rests;
         self.seen |= shake.trace() > 0.0;
         shake
     }
 }
 
 /// The recent positions compared with a straight line of time.
-struct Course {
+struct Course<'a> {
+    recent: &'a VecDeque<Sample>,
+    /// Mean time of the samples, seconds from the newest, and their squares about it.
+    time: f64,
+    times: f64,
+    line: Line,
     /// Frames beyond those that determine the line.
     freedom: f64,
-    /// Square of the slope in units of its own covariance.
-    slope_chi2: f64,
-    /// What is left of the positions, and the turns of the coil; all turns are zero if one is not known.
-    left: Vec<[Vector3<f64>; 2]>,
     /// The covariance expected of a position.
     expected: Matrix3<f64>,
-    /// What is left, compared with it.
+    /// What is off the line.
     scatter: Scatter,
 }
 
-impl Course {
+/// A straight line of time.
+struct Line {
+    mean: Vector3<f64>,
+    slope: Vector3<f64>,
+}
+
+impl Line {
+    /// How far a value is off it, at a time from the mean.
+    fn off(&self, value: &Vector3<f64>, t: f64) -> Vector3<f64> {
+        value - self.mean - self.slope * t
+    }
+}
+
+/// When a sample was taken, seconds from the newest.
+fn seconds(recent: &VecDeque<Sample>, sample: &Sample) -> f64 {
+    recent.back().map_or(0.0, |newest| (sample.ns - newest.ns) as f64 * 1e-9)
+}
+
+impl<'a> Course<'a> {
     /// `None` with too few positions, or without time between them.
-    fn of(recent: &VecDeque<Sample>) -> Option<Self> {
-        let count = recent.len();
-        if count < MIN_FRAMES {
+    fn of(recent: &'a VecDeque<Sample>) -> Option<Self> {
+        if recent.len() < MIN_FRAMES {
             return None;
         }
-        let newest = recent.back()?.ns;
-        let seen = recent.iter().all(|sample| sample.direction.is_some());
-        let both = |sample: &Sample| [sample.position, sample.direction.filter(|_| seen).unwrap_or_default()];
-        let seconds = |sample: &Sample| (sample.ns - newest) as f64 * 1e-9;
-        let (mut time, mut means, mut expected) = (0.0, [Vector3::zeros(); 2], Matrix3::zeros());
-        for sample in recent {
-            time += seconds(sample) / count as f64;
-            means.iter_mut().zip(both(sample)).for_each(|(mean, value)| *mean += value / count as f64);
-            expected += sample.covariance / count as f64;
-        }
-        let (mut times, mut slopes) = (0.0, [Vector3::zeros(); 2]);
-        for sample in recent {
-            let t = seconds(sample) - time;
-            times += t * t;
-            let values = both(sample).into_iter().zip(means);
-            slopes.iter_mut().zip(values).for_each(|(slope, (value, mean))| *slope += (value - mean) * t);
-        }
-        slopes.iter_mut().for_each(|slope| *slope /= times);
-        let left = |sample: &Sample| {
-            let [position, turn] = both(sample);
-            let t = seconds(sample) - time;
-            [position - means[0] - slopes[0] * t, turn - means[1] - slopes[1] * t]
-        };
-        let left: Vec<_> = recent.iter().map(left).collect();
+        let count = recent.len() as f64;
+        let time = recent.iter().map(|sample| seconds(recent, sample) / count).sum::<f64>();
+        let times = recent.iter().map(|sample| (seconds(recent, sample) - time).powi(2)).sum();
+        let expected = recent.iter().map(|sample| sample.covariance / count).sum();
+        let line = line(recent, time, times, |sample| sample.position);
         // Two frames' worth is in the line.
-        let freedom = (count - 2) as f64;
-        let scatter = Scatter::of(left.iter().map(|[position, _]| *position), freedom, &expected)?;
-        let slope_chi2 = slopes[0].dot(&expected.cholesky()?.solve(&slopes[0])) * times;
-        Some(Self { freedom, slope_chi2, left, expected, scatter })
+        let freedom = count - 2.0;
+        let off = recent.iter().map(|sample| line.off(&sample.position, seconds(recent, sample) - time));
+        let scatter = Scatter::of(off, freedom, &expected)?;
+        Some(Self { recent, time, times, line, freedom, expected, scatter })
+    }
+
+    /// Square of the slope in units of its own covariance.
+    fn slope_chi2(&self) -> f64 {
+        let solved = self.expected.cholesky().map(|factor| factor.solve(&self.line.slope));
+        solved.map_or(f64::INFINITY, |solved| self.line.slope.dot(&solved) * self.times)
     }
 
     fn is_at_rest(&self) -> bool {
-        self.freedom >= MIN_FREEDOM_AT_REST && self.slope_chi2 < MOVES_CHI2 && self.scatter.is_chance()
+        self.freedom >= MIN_FREEDOM_AT_REST && self.slope_chi2() < MOVES_CHI2 && self.scatter.is_chance()
     }
 
     /// The scatter beyond what is expected and what the turns of the coil explain; `None` when it is chance.
@@ -148,18 +154,37 @@ impl Course {
         if self.scatter.is_chance() {
             return None;
         }
-        let (mut squares, mut products) = (Matrix3::zeros(), Matrix3::zeros());
-        for [position, turn] in &self.left {
-            squares += turn * turn.transpose();
-            products += turn * position.transpose();
-        }
-        let prior = Matrix3::from_diagonal_element(self.expected.trace() / 3.0 / BENT_M.powi(2));
-        let known = (squares + prior).cholesky()?;
-        let bend = known.solve(&products);
-        let freedom = self.freedom - known.solve(&squares).trace();
-        let rest = self.left.iter().map(|[position, turn]| position - bend.tr_mul(turn));
-        Scatter::of(rest, freedom, &self.expected)?.beyond_chance()
+        let seen = self.recent.iter().all(|sample| sample.direction.is_some());
+        let beside_bends = if seen { self.beside_bends()? } else { self.scatter };
+        beside_bends.beyond_chance()
     }
+
+    /// The scatter without what the turns of the coil explain.
+    fn beside_bends(&self) -> Option<Scatter> {
+        let Self { recent, time, times, .. } = *self;
+        let direction = |sample: &Sample| sample.direction.unwrap_or_default();
+        let turns = line(recent, time, times, direction);
+        let off = |sample: &Sample| {
+            let t = seconds(recent, sample) - time;
+            [self.line.off(&sample.position, t), turns.off(&direction(sample), t)]
+        };
+        let mut bends = Bends::default();
+        for [position, turn] in recent.iter().map(off) {
+            bends.add(&turn, &position, 3.0 / self.expected.trace());
+        }
+        let (slope, uncertain) = bends.slope()?;
+        let freedom = self.freedom - (uncertain * bends.squares).trace();
+        let rest = recent.iter().map(off).map(|[position, turn]| position - slope.tr_mul(&turn));
+        Scatter::of(rest, freedom, &self.expected)
+    }
+}
+
+/// The line through values of the samples, whose times have this mean and squares about it.
+fn line(recent: &VecDeque<Sample>, time: f64, times: f64, value: impl Fn(&Sample) -> Vector3<f64>) -> Line {
+    let count = recent.len() as f64;
+    let mean = recent.iter().map(|sample| value(sample) / count).sum::<Vector3<f64>>();
+    let moved = |sample: &Sample| (value(sample) - mean) * (seconds(recent, sample) - time);
+    Line { mean, slope: recent.iter().map(moved).sum::<Vector3<f64>>() / times }
 }
 
 /// How far values scatter.

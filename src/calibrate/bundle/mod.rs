@@ -336,6 +336,17 @@ impl Bundle {
 }
 
 impl Solution {
+    /// σ of a parameter; `None` if it was fixed.
+    pub(crate) fn sd(&self, parameter: Parameter) -> Option<f64> {
+        self.sd_in(&self.covariance, parameter)
+    }
+
+    /// The same by another covariance of the free parameters.
+    pub(crate) fn sd_in(&self, covariance: &DMatrix<f64>, parameter: Parameter) -> Option<f64> {
+        let at = self.free.iter().position(|free| *free == parameter)?;
+        Some(covariance.get((at, at))?.sqrt())
+    }
+
     /// The problem with only some of the pictures, by their indices, starting from here.
     pub(crate) fn of_pictures(&self, pictures: &[usize], corners: &[Corner]) -> Bundle {
         let now = |old: usize| pictures.iter().position(|picture| *picture == old);

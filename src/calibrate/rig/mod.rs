@@ -145,8 +145,8 @@ fn doubted(
         let Ok(RigCalibration { solution, .. }) = adjust(&others) else { continue };
         let Ok(surface) = surface(&solution.geometry, name) else { continue };
         let offset = Parameter::Offset { surface };
-        let Some(at) = solution.free.iter().position(|parameter| *parameter == offset) else { continue };
-        let (found_m, sd_m) = (solution.geometry.value(offset).abs(), solution.covariance[(at, at)].sqrt());
+        let Some(sd_m) = solution.sd(offset) else { continue };
+        let found_m = solution.geometry.value(offset).abs();
         if (found_m - given_m).abs() > DOUBT_SD * sd_m.hypot(*given_sd_m) {
             let [given_mm, given_sd_mm, found_mm, sd_mm] = [*given_m, *given_sd_m, found_m, sd_m].map(|m| m * 1e3);
             let name = name.clone();

@@ -108,7 +108,7 @@ pub(crate) fn determined(solution: &Solution) -> Result<(), InsufficientPictures
     let depths = || middles.iter().map(|middle| middle.z);
     let depth_m = depths().fold(f64::NEG_INFINITY, f64::max) - depths().fold(f64::INFINITY, f64::min);
     for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate() {
-        let [a, b, offset_m] = Parameter::of_surface(surface).map(|parameter| solution.sd(parameter));
+        let [a, b, offset_m] = Parameter::of_surface(surface).map(|parameter| solution.sd(parameter).unwrap_or(0.0));
         let tilt_rad = a.max(b);
         if tilt_rad.is_nan() || offset_m.is_nan() || tilt_rad > MIN_KNOWN.0 || offset_m > MIN_KNOWN.1 * away_m {
             return Err(InsufficientPictures::Open {
@@ -122,12 +122,4 @@ pub(crate) fn determined(solution: &Solution) -> Result<(), InsufficientPictures
         }
     }
     Ok(())
-}
-
-impl Solution {
-    /// Standard deviation of a parameter; 0 when it was not free.
-    fn sd(&self, parameter: Parameter) -> f64 {
-        let at = self.free.iter().position(|p| *p == parameter);
-        at.map_or(0.0, |i| self.covariance[(i, i)].sqrt())
-    }
 }

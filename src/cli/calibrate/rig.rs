@@ -406,12 +406,9 @@ fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, option
         seen.pictures(),
         pictures::rms(solution.corner_sd_px)
     );
-    let of = |parameter: Parameter, covariance: &DMatrix<f64>| {
-        let at = solution.free.iter().position(|p| *p == parameter);
-        at.map_or(0.0, |i| covariance[(i, i)].sqrt())
-    };
-    let sd = |parameter: Parameter| of(parameter, &solution.covariance);
-    let by_noise = |parameter: Parameter| of(parameter, &solution.noise_covariance).min(sd(parameter));
+    let sd = |parameter: Parameter| solution.sd(parameter).unwrap_or(0.0);
+    let by_noise =
+        |parameter: Parameter| solution.sd_in(&solution.noise_covariance, parameter).unwrap_or(0.0).min(sd(parameter));
     for (surface, (name, optics)) in solution.geometry.surfaces.iter().enumerate() {
         let plane = optics.plane();
         let n = plane.normal();

@@ -31,12 +31,6 @@ pub(super) fn short_name(geometry: &Geometry, parameter: Parameter) -> String {
     }
 }
 
-/// σ of a parameter; `None` if it was fixed.
-fn sd(solution: &Solution, parameter: Parameter) -> Option<f64> {
-    let at = solution.free.iter().position(|p| *p == parameter)?;
-    Some(solution.covariance.get((at, at))?.sqrt())
-}
-
 fn number(value: Option<f64>, digits: usize) -> String {
     value.filter(|v| v.is_finite()).map_or("held".to_owned(), |v| format!("{v:.digits$}"))
 }
@@ -51,18 +45,18 @@ pub(super) fn surfaces(solution: &Solution) -> String {
         .map(|(surface, (name, optics))| {
             let plane = optics.plane();
             let [x, y, z] = [plane.normal().x, plane.normal().y, plane.normal().z].map(|c| signed(c, 5));
-            let tilt = |axis| number(sd(solution, Parameter::Tilt { surface, axis }).map(f64::to_degrees), 3);
+            let tilt = |axis| number(solution.sd(Parameter::Tilt { surface, axis }).map(f64::to_degrees), 3);
             vec![
                 name.clone(),
                 format!("({x}, {y}, {z})"),
                 tilt(0),
                 tilt(1),
                 format!("{:.2}", plane.offset_m().abs() * 1e3),
-                number(sd(solution, Parameter::Offset { surface }).map(|sd| sd * 1e3), 2),
+                number(solution.sd(Parameter::Offset { surface }).map(|sd| sd * 1e3), 2),
             ]
         })
         .collect();
-    let index = sd(solution, Parameter::IndexInside).map_or(String::new(), |sd| {
+    let index = solution.sd(Parameter::IndexInside).map_or(String::new(), |sd| {
         let value = geometry.value(Parameter::IndexInside);
         format!("<p>The index of the water was fitted: {value:.4}, σ {sd:.4}. It trades off against distances.</p>\n")
     });
@@ -102,7 +96,7 @@ pub(super) fn lens(solution: &Solution) -> String {
             vec![
                 (*name).to_owned(),
                 signless(solution.geometry.value(parameter), *digits),
-                number(sd(solution, parameter), *digits),
+                number(solution.sd(parameter), *digits),
                 cell(was.map(|w| w.0)),
                 cell(was.map(|w| w.1)),
             ]
