@@ -17,6 +17,8 @@ pub(crate) struct Channel {
     pub constant: f32,
     /// The part of the weights that is chroma: all of U and V, R − Y, none of Y.
     pub chroma: Option<[f32; 3]>,
+    /// What of the weights shows red, and blue, that lie apart from luma. Green is then where luma stays.
+    pub apart: [[f32; 3]; 2],
 }
 
 impl Channel {
@@ -28,15 +30,23 @@ impl Channel {
             Some(luma) => Some(std::array::from_fn(|c| weights[c] - luma[c])),
             None => (number > 0).then_some(weights),
         };
-        Self { number: number as u8, weights, constant: constant as f32, chroma }
+        let [red, green, blue] = of_luma(picture);
+        let apart = [[1.0, -red / green, 0.0], [0.0, -blue / green, 1.0]];
+        let apart = apart.map(|moves| std::array::from_fn(|c| weights[c] * moves[c]));
+        Self { number: number as u8, weights, constant: constant as f32, chroma, apart }
     }
 }
 
 /// Weights of stored R, G and B in luma; `None` where luma is stored.
 fn luma(picture: &Picture) -> Option<[f32; 3]> {
-    let (format, colour) = (picture.format(), picture.colour());
-    let (luma, _) = Colour { range: Range::Full, ..colour }.channel_from_rgb(PixelFormat::Grey, 0);
-    (format != PixelFormat::Grey && !format.is_yuv()).then_some(luma.map(|w| w as f32))
+    let format = picture.format();
+    (format != PixelFormat::Grey && !format.is_yuv()).then(|| of_luma(picture))
+}
+
+/// Weights of R, G and B in luma.
+fn of_luma(picture: &Picture) -> [f32; 3] {
+    let (luma, _) = Colour { range: Range::Full, ..picture.colour() }.channel_from_rgb(PixelFormat::Grey, 0);
+    luma.map(|w| w as f32)
 }
 
 /// Lobes of the kernel on each side.

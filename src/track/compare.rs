@@ -4,11 +4,11 @@
 //! chunk, where they are summed, and not kept.
 
 use crate::source::Picture;
+use crate::track::apart::{ColourSums, WAYS};
 use crate::track::channel::Channel;
 use crate::track::chunk::{CHUNK, Chunk, Light, Piece, Rows, Scene};
 use crate::track::equations::Eliminated;
 use crate::track::fields::RowShift;
-use crate::track::fringes::Pair;
 use crate::track::grain::Differences;
 use crate::track::mosaic::Mosaic;
 use crate::track::no_fit::NoFit;
@@ -20,7 +20,7 @@ use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy};
 use crate::track::widths::{Sum, Width, widths};
 use multiversion::multiversion;
-use nalgebra::{Matrix2, SMatrix, Vector2};
+use nalgebra::{SMatrix, Vector2};
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
@@ -36,7 +36,6 @@ pub(crate) struct Scattered {
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub slips: Slips,
     pub rows: RowShift,
-    pub colours: Pair,
     /// Variance of a coder's errors over that of the noise the samples are weighed by: mean, weighted by each sample's
     /// information about the band's position.
     pub coded: f64,
@@ -180,7 +179,6 @@ struct Scores {
     cells: Vec<Row>,
     slips: Slips,
     rows: RowShift,
-    colours: Pair,
     /// Information about the band's position, and by cell and channel the same times the weights.
     said: f64,
     coded: Vec<[f32; 3]>,
@@ -199,16 +197,7 @@ impl Scores {
         coded.resize(patch.cells.len(), [0.0; 3]);
         let slips = Slips::new(scene.layout, patch.spans.len());
         let widths = vec![Sum::default(); patch.spans.len()];
-        Self {
-            cells,
-            slips,
-            rows: RowShift::default(),
-            colours: Pair::default(),
-            said: 0.0,
-            coded,
-            widths,
-            chroma: None,
-        }
+        Self { cells, slips, rows: RowShift::default(), said: 0.0, coded, widths, chroma: None }
     }
 
     fn add(&mut self, part: &Part<'_>) {
@@ -223,11 +212,6 @@ impl Scores {
                 false => self.chroma.get_or_insert_default().of(part.chunk, part.piece, part.light, chroma),
             };
             add_to_slips(&mut self.slips, part, slipping);
-        }
-        if let Some(k) = part.colour {
-            let (information, pull) = shift_of(part);
-            let [aa, al, ll] = information.map(f64::from);
-            self.colours[k].add_along(part.axes, Matrix2::new(aa, al, al, ll), Vector2::from(pull.map(f64::from)));
         }
     }
 }
@@ -246,8 +230,6 @@ struct Part<'a> {
     /// The stored channel, and whether it is stored apart from the pixels.
     channel: &'a Channel,
     apart: bool,
-    /// Which of the two channels furthest from each other it is, if it is one.
-    colour: Option<usize>,
     /// Unit vectors across the tube and along it.
     axes: [Vector2<f64>; 2],
     cells: &'a [u32],
@@ -389,7 +371,7 @@ impl Comparison {
     /// Forms the derivatives of all samples, of the model as it was rendered.
     fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
         let Memory { patch, bunches, channels, sums, rows, .. } = &mut self.memory;
-        let Patch { middle, spans, colour_channels, .. } = &*patch;
+        let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
         let mut channels = &channels[..];
         for (layer, bunches) in patch.layers().zip(bunches) {
@@ -406,7 +388,6 @@ impl Comparison {
                         let rows = rows.of(chunk, &piece, &light, &channel.weights);
                         let (points, seen) = (points.clone(), chunk.seen);
                         let (span, ring) = (*span, spans[*span].ring);
-                        let colour = colour_channels.iter().position(|colour| *colour == channel.number);
                         let part = Part {
                             span,
                             ring,
@@ -417,7 +398,6 @@ impl Comparison {
                             light: &light,
                             channel,
                             apart,
-                            colour,
                             axes,
                             cells,
                             y,
@@ -482,7 +462,7 @@ impl Comparison {
         coder_variances: impl Fn([u32; 2]) -> [f64; 3],
     ) -> Scattered {
         let known = self.scores.take();
-        let Scores { cells, mut slips, rows, colours, said, coded, widths: width_sums, .. } =
+        let Scores { cells, mut slips, rows, said, coded, widths: width_sums, .. } =
             known.unwrap_or_else(|| self.scores(scene));
         let Memory { patch, squares, variances, .. } = &mut self.memory;
         let Patch { spans, cells: places, squares: pixels, .. } = &*patch;
@@ -509,7 +489,19 @@ impl Comparison {
         let widths = widths(spans, &width_sums, layout, view);
         (self.memory.cells, self.memory.coded) = (cells, coded);
         let coded = if said > 0.0 { coded_sum / said } else { 0.0 };
-        Scattered { covariance, slips, rows, colours, coded, widths }
+        Scattered { covariance, slips, rows, coded, widths }
+    }
+
+    /// What the residuals show of red and blue that lie apart, of the model as it was rendered.
+    pub(crate) fn apart(&mut self, scene: &Scene<'_>) -> ColourSums {
+        let mut sums = ColourSums::new(self.memory.patch.spans.len());
+        let (mut red, mut blue) = <(Rows, Rows)>::default();
+        self.derive(scene, |_, part| {
+            let [of_red, of_blue] = &part.channel.apart;
+            let red = red.of(part.chunk, part.piece, part.light, of_red);
+            add_apart(&mut sums, part, [red, blue.of(part.chunk, part.piece, part.light, of_blue)]);
+        });
+        sums
     }
 
     /// Differences between the residuals of neighbouring pixels in a row of the background, in the first channel.
@@ -584,20 +576,22 @@ fn add_to_width(sum: &mut Sum, part: &Part<'_>) {
     sum.pull += f64::from(pull);
 }
 
-/// How far samples lie from the model, across the tube and along it: Σ w t tᵀ (three elements) and Σ w r t.
+/// Adds samples to what they show of red and blue apart, with the derivatives of what is red in them, and of what is
+/// blue.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn shift_of(part: &Part<'_>) -> ([f32; 3], [f32; 2]) {
-    let (mut information, mut pull) = ([0.0; 3], [0.0; 2]);
-    for (row, residual, weight, _) in part.samples() {
-        let [across, along] = shifted(row, part.seen);
-        for (sum, value) in information.iter_mut().zip([across * across, across * along, along * along]) {
-            *sum += weight * value;
-        }
-        for (sum, value) in pull.iter_mut().zip([across, along]) {
-            *sum += weight * residual * value;
+fn add_apart(sums: &mut ColourSums, part: &Part<'_>, [red, blue]: [&[Row]; 2]) {
+    let (mut information, mut pull) = ([[0.0; WAYS]; WAYS], [0.0; WAYS]);
+    for ((row, residual, weight, _), (red, blue)) in part.samples().zip(red.iter().zip(blue)) {
+        let ([r, s], [b, c]) = (shifted(red, part.seen), shifted(blue, part.seen));
+        let ways = [r, s, b, c];
+        for (i, way) in ways.into_iter().enumerate() {
+            let weighed = weight * way;
+            pull[i] += weighed * residual;
+            information[i].iter_mut().zip(ways).for_each(|(sum, other)| *sum += weighed * other);
+            add_row(&mut sums.rows[part.span][i], row, part.seen, weighed);
         }
     }
-    (information, pull)
+    sums.add_along(part.axes, &information, &pull);
 }
 
 /// Adds samples to the slips of chroma that they show, with the derivatives of their chroma alone.

@@ -3,6 +3,7 @@
 //! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because decoder errors are correlated between neighbours
 //! and stronger near edges; plus errors of the image model that no residual shows.
 
+use crate::track::apart::Apart;
 use crate::track::chunk::Scene;
 use crate::track::compare::Scattered;
 use crate::track::equations::Eliminated;
@@ -29,7 +30,7 @@ impl Round<'_> {
         let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();
         // The residuals do not contain the priors' information.
         let mut covariance = plain * shape_prior() * plain;
-        let Round { mut views, stretch, picture, model, blurs_px, rests, .. } = self;
+        let Round { mut views, stretch, picture, model, blurs_px, rests, looks_apart, .. } = self;
         let Guess { images, colours, turns, .. } = &state.guess;
         let compared = views.par_iter_mut().zip(blurs_px).zip(images).zip(colours).zip(&seen);
         let scatter = compared.map(|((((view, blur_px), image), colours), eliminated)| {
@@ -40,9 +41,12 @@ impl Round<'_> {
             };
             let scene = Scene::new(image, turns, colours, stretch, &model.encoding, *blur_px);
             let scattered = view.comparison.scatter(&scene, &plain, &of_colours, eliminated, coder_variances);
-            (scattered, may_be_coded(picture).then(|| view.comparison.differences()))
+            let apart = looks_apart.then(|| view.comparison.apart(&scene));
+            let spans = &view.comparison.patch().spans;
+            let apart = apart.and_then(|sums| sums.eliminated(spans, image, &stretch.layout, eliminated));
+            (scattered, (may_be_coded(picture).then(|| view.comparison.differences()), apart))
         });
-        let (scatter, grain): (Vec<_>, Vec<_>) = scatter.unzip();
+        let (scatter, (grain, apart)): (Vec<_>, (Vec<_>, Vec<_>)) = scatter.unzip();
         let mut slip_covariance = SMatrix::zeros();
         let predicted = picture.quantisation().is_some_and(|q| q.predicted);
         for (scattered, view) in scatter.iter().zip(&seen) {
@@ -64,6 +68,8 @@ impl Round<'_> {
             && model.chroma_offset_px == [0.0; 2]
             && model.error == ModelError::FULL;
         let inflation = (covariance.fixed_view::<3, 3>(0, 0).trace() / plain.fixed_view::<3, 3>(0, 0).trace()).max(1.0);
+        let apart: Vec<_> = apart.into_iter().flatten().collect();
+        let apart = (apart.len() == seen.len()).then(|| Apart::of(&apart, &plain, inflation));
         let own = points.iter().zip(&seen).zip(normals).zip(&step.colours).map(|(((point, view), normal), colours)| {
             own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
         });
@@ -74,7 +80,7 @@ impl Round<'_> {
             let (residual_px, covariance) = own;
             let residual_covariance_px2 = covariance * inflation;
             let rms = rms(&normal.squares);
-            let Scattered { slips, rows, colours: colour_shifts, mut widths, coded, .. } = scattered;
+            let Scattered { slips, rows, mut widths, coded, .. } = scattered;
             // Their errors are correlated as those of the shape.
             widths.iter_mut().for_each(|width| width.sd_px *= (inflation + coded).sqrt());
             // A coder or a program moves chroma, in ways that are as correlated; a sensor does not.
@@ -89,7 +95,6 @@ impl Round<'_> {
                 slip,
                 slip_response: slips.response,
                 rows,
-                colour_shifts,
                 grain,
                 widths,
             }
@@ -100,6 +105,7 @@ impl Round<'_> {
             bound: plain,
             slip_covariance,
             views: views.collect(),
+            apart,
             way_px,
             misfit: misfit(normals),
         })

@@ -68,7 +68,7 @@ impl Eliminated {
     }
 
     /// L⁻¹ c, and X C⁻¹ c.
-    fn halved(&self, gradient: &DVector<f64>) -> Option<(DVector<f64>, ShapeStep)> {
+    pub(crate) fn halved(&self, gradient: &DVector<f64>) -> Option<(DVector<f64>, ShapeStep)> {
         let halved = self.colours.l_dirty().solve_lower_triangular(gradient)?;
         let shape = weighted(&self.half, halved.iter().copied());
         Some((halved, shape))

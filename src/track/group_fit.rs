@@ -10,6 +10,7 @@ use crate::source::Frame;
 use crate::track::assign::{Assigned, direction_of_axes};
 use crate::track::find::Found;
 use crate::track::fit::{Fitting, TubeFit, ViewFit};
+use crate::track::fringes::Fringes;
 use crate::track::image_model::ImageModel;
 use crate::track::last::Last;
 use crate::track::no_fit::NoFit;
@@ -55,6 +56,7 @@ pub(crate) struct GroupFitting<'a> {
     /// For each marker that is the reference of a group: its last fit.
     pub last: &'a [Option<Last>],
     pub usual: &'a Usual,
+    pub fringes: &'a Fringes,
     /// Whether the base band is known not to move.
     pub base_rests: bool,
     /// Background beside the tube that is fitted, pixels.
@@ -82,7 +84,8 @@ impl GroupFitting<'_> {
         let reference = self.assigned(group.reference)?.point;
         let direction = self.start_direction(group).ok_or(Miss::NotConverged)?;
         let last = self.last[group.reference].as_ref();
-        let fitting = self.fitting(group, views, None);
+        let looks_apart = self.fringes.look_at(group, views);
+        let fitting = Fitting { looks_apart, ..self.fitting(group, views, None) };
         let accepted = |fit: Result<TubeFit, NoFit>| {
             let fit = fit.map_err(|why| match why {
                 NoFit::OutOfPicture | NoFit::NotConverged => Miss::NotConverged,
@@ -149,6 +152,7 @@ impl GroupFitting<'_> {
             sweep,
             rests: self.base_rests && matches!(group.members[..], [(0, _)]),
             margin_px,
+            looks_apart: false,
         }
     }
 
@@ -311,7 +315,8 @@ mod tests {
             let (last, usual) = (vec![None; rig.markers.len()], Usual::new(&rig));
             let (rig, model, frame, found, last, usual) = (&rig, &model, &frame, &found, &last[..], &usual);
             let blurs_px = &[BLUR_PX; 2];
-            GroupFitting { rig, model, blurs_px, frame, found, last, usual, base_rests: false, margin_px: 4.0 }
+            let (fringes, base_rests, margin_px) = (&Fringes::of(rig), false, 4.0);
+            GroupFitting { rig, model, blurs_px, frame, found, last, usual, fringes, base_rests, margin_px }
                 .fit(&group, &[0, 1])
         };
         let tip = tube.centre + tube.direction * 22e-3;

@@ -1,6 +1,7 @@
 //! From blobs to an estimate: assignment, the fit of the tube to all views, the coil's tangent.
 
 mod answer;
+mod apart;
 mod appearance;
 mod assign;
 #[cfg(test)]

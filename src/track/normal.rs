@@ -117,6 +117,13 @@ pub(crate) fn add_colours(colours: &mut DVector<f64>, sum: &Row, span: &Span, la
     }
 }
 
+/// Adds those elements of a sum of rows that move the shape.
+pub(crate) fn add_shape(shape: &mut ShapeStep, sum: &Row, span: &Span, image: &TubeImage) {
+    for (moves, i) in moved(image, span.knot).into_iter().zip(MOVES) {
+        *shape += moves * f64::from(sum[i]);
+    }
+}
+
 /// How the shape moves a knot and the next, for each of [`MOVES`].
 fn moved(image: &TubeImage, knot: usize) -> [&ShapeStep; MOVES.len()] {
     std::array::from_fn(|i| &image.knots[knot + i % 2].d_local[i / 2])
@@ -187,10 +194,7 @@ impl Normal {
             ..*self
         };
         for (span, sum) in sums {
-            for (moves, i) in moves(image, span.knot).iter().zip(MOVES) {
-                let by = f64::from(sum[i]);
-                normal.shape_gradient.iter_mut().zip(moves).for_each(|(sum, value)| *sum += by * value);
-            }
+            add_shape(&mut normal.shape_gradient, sum, span, image);
             add_colours(&mut normal.colour_gradient, sum, span, layout);
         }
         normal

@@ -214,8 +214,6 @@ pub(crate) struct Patch {
     pub cells: Vec<(usize, usize)>,
     /// A pixel of each square that has cells.
     pub squares: Vec<[u32; 2]>,
-    /// The two channels whose colours are furthest from each other: red and blue, or what is stored of them.
-    pub colour_channels: [u8; 2],
     field: Field,
     places: Places,
     /// The last cell in each square of the field.
@@ -304,7 +302,6 @@ impl Patch {
         (self.middle, self.spans) = (middle, spans.list);
         self.pixels.take_pixels(&self.places.list, &self.field, &middle, mosaic);
         self.divide();
-        self.colour_channels = if picture.format().is_yuv() { [1, 2] } else { [0, 2] };
         let Self { pixels, samples, places, field, .. } = self;
         let channels: Vec<usize> = (0..picture.format().channels()).collect();
         let mut subsampled = 0;

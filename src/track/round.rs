@@ -40,6 +40,8 @@ pub(crate) struct Round<'a> {
     pub sweep: Option<&'a Sweep>,
     /// Whether the stretch is known not to move.
     pub rests: bool,
+    /// Whether to look how far red and blue lie apart.
+    pub looks_apart: bool,
     pub views: Vec<View>,
 }
 

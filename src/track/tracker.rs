@@ -144,7 +144,7 @@ impl Tracker {
             interpolated: Interpolated::default(),
             grain: Grain::default(),
             fields: Fields::default(),
-            fringes: Fringes::default(),
+            fringes: Fringes::of(rig),
             rolling: Rolling::of(rig),
             diameter: Diameter::of(rig),
             warned: Vec::new(),
@@ -225,6 +225,7 @@ impl Tracker {
         views.filter_map(|view| view.grain.as_ref()).for_each(|grain| self.grain.add(grain));
         let moved_px = self.look_at_motion(frame.stamp, &fitted);
         self.widen_by_lag(frame.stamp, &mut fitted);
+        fitted.iter_mut().for_each(|fitted| self.fringes.follow(fitted));
         if self.fields.are_woven() {
             return Ok((Err(Miss::Interlaced), Some(Measured { found, fitted, moved_px })));
         }
@@ -362,15 +363,14 @@ impl Tracker {
         blurs_px: &'a [f64],
         margin_px: f64,
     ) -> GroupFitting<'a> {
-        let Self { rig, model, judge, before, .. } = self;
-        let base_rests = self.shake.is_at_rest();
-        GroupFitting { rig, model, blurs_px, frame, found, last: before, usual: &judge.usual, base_rests, margin_px }
+        let Self { rig, model, judge, before: last, fringes, .. } = self;
+        let (base_rests, usual) = (self.shake.is_at_rest(), &judge.usual);
+        GroupFitting { rig, model, blurs_px, frame, found, last, usual, fringes, base_rests, margin_px }
     }
 
     /// What the motion of the coil since the last frame tells of the pictures; how far it was, pixels, if it was seen.
     fn look_at_motion(&mut self, stamp: Timestamp, fitted: &[Fitted]) -> Option<f64> {
         let (of_coil, fit) = self.of_coil(fitted)?;
-        of_coil.views.iter().zip(&fit.views).for_each(|(v, view)| self.fringes.add(*v, &view.colour_shifts));
         let ways_px = self.ways_px(stamp, of_coil, fit)?;
         self.lag.fade();
         for ((v, view), way_px) in of_coil.views.iter().zip(&fit.views).zip(&ways_px) {

@@ -15,8 +15,9 @@ pub(super) const WOVEN: &str = "even and odd rows of the pictures show different
      as interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
      trusted: record progressive frames";
 pub(super) const FRINGES: &str = "red and blue lie apart in the pictures, by 0.45 pixels or more: the lens shows them \
-     at different places (lateral chromatic aberration), or chroma is not stored where the recording says; σ does not \
-     cover that: use another lens, or the middle of the picture";
+     at different places (lateral chromatic aberration), or chroma is not stored where the recording says; this is \
+     measured and taken out, and σ is widened by what may be left: another lens, or the middle of the picture, is \
+     more accurate";
 pub(super) const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from those on which it was taught, \
      since the first frame: something is in front of it, the light is another, or they are coded otherwise; it is \
      refused, but in a noisier recording only in the first frames, and later σ may be too small: look at the overlay, \

@@ -1,0 +1,119 @@
+//! How far red and blue lie apart in the pictures of a fit.
+//!
+//! Luma is taken to lie where the rig says: boards were measured in it. In each view red lies r pixels beside it, blue
+//! b, and green where luma stays. To first order that changes a sample by T (r, b), T the derivatives of what is red in
+//! it and of what is blue. Shape and colours of the fit follow, so of the normal equations remain, with P those of the
+//! fit, C its products with T, and g = Σ w T e of the residuals e,
+//!
+//! (Σ w T Tᵀ − Cᵀ P⁻¹ C) (r, b) = g, and the shape has moved by P⁻¹ C (r, b),
+//!
+//! jointly for all views.
+
+use crate::track::appearance::Layout;
+use crate::track::equations::Eliminated;
+use crate::track::normal::{ROW, Row, Span, add_colours, add_shape};
+use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
+use crate::track::tube_image::TubeImage;
+use nalgebra::{Const, DMatrix, DVector, Dyn, Matrix2, SMatrix, SVector, Vector2};
+
+/// What lies apart in a view: red to the right and down, blue to the right and down.
+pub(crate) const WAYS: usize = 4;
+
+/// Sums over the samples of a view.
+pub(crate) struct ColourSums {
+    /// For each span Σ w t ∂, for a shift of red across the tube and along it, and of blue.
+    pub rows: Vec<[Row; WAYS]>,
+    /// Σ w T Tᵀ and Σ w T e in the picture's axes.
+    information: SMatrix<f64, WAYS, WAYS>,
+    pull: SVector<f64, WAYS>,
+}
+
+/// Those of a view without its colours.
+pub(crate) struct OfView {
+    /// Products with the shape.
+    shape: SMatrix<f64, SHAPE, WAYS>,
+    information: SMatrix<f64, WAYS, WAYS>,
+    pull: SVector<f64, WAYS>,
+}
+
+/// What the views of a fit show together.
+#[derive(Debug, Clone)]
+pub(crate) struct Apart {
+    /// Normal equations of r and b, those of the first view first.
+    pub information: DMatrix<f64>,
+    pub pull: DVector<f64>,
+    /// How the shape follows them.
+    pub response: ShapeBy,
+}
+
+impl ColourSums {
+    pub(crate) fn new(spans: usize) -> Self {
+        Self { rows: vec![[[0.0; ROW]; WAYS]; spans], information: SMatrix::zeros(), pull: SVector::zeros() }
+    }
+
+    /// Adds sums along these axes, across the tube and along it.
+    pub(crate) fn add_along(&mut self, axes: [Vector2<f64>; 2], information: &[[f32; WAYS]; WAYS], pull: &[f32; WAYS]) {
+        let mut turn = SMatrix::<f64, WAYS, WAYS>::zeros();
+        for at in [0, 2] {
+            turn.fixed_view_mut::<2, 2>(at, at).copy_from(&Matrix2::from_columns(&axes));
+        }
+        let information = SMatrix::<f32, WAYS, WAYS>::from(*information).map(f64::from);
+        self.information += turn * information * turn.transpose();
+        self.pull += turn * SVector::<f32, WAYS>::from(*pull).map(f64::from);
+    }
+
+    /// With the view's colours eliminated; `None` when they are undetermined.
+    pub(crate) fn eliminated(
+        &self,
+        spans: &[Span],
+        image: &TubeImage,
+        layout: &Layout,
+        view: &Eliminated,
+    ) -> Option<OfView> {
+        let mut shape = SMatrix::<f64, SHAPE, WAYS>::zeros();
+        let mut colours = vec![DVector::zeros(layout.colours()); WAYS];
+        for (span, rows) in spans.iter().zip(&self.rows) {
+            let axes = image.knots[span.knot].axes();
+            for (way, colours) in colours.iter_mut().enumerate() {
+                let (first, axis) = (way / 2 * 2, way % 2);
+                let [across, along] = axes.map(|of| of[axis] as f32);
+                let row = std::array::from_fn(|i| across * rows[first][i] + along * rows[first + 1][i]);
+                let mut moved = ShapeStep::zeros();
+                add_shape(&mut moved, &row, span, image);
+                let mut column = shape.column_mut(way);
+                column += moved;
+                add_colours(colours, &row, span, layout);
+            }
+        }
+        let (halves, explained): (Vec<_>, Vec<_>) =
+            colours.iter().map(|colours| view.halved(colours)).collect::<Option<Vec<_>>>()?.into_iter().unzip();
+        let shape = shape - SMatrix::from_columns(&explained);
+        let information = self.information - SMatrix::from_fn(|i, j| halves[i].dot(&halves[j]));
+        Some(OfView { shape, information, pull: self.pull })
+    }
+}
+
+impl Apart {
+    /// All views together. `covariance` is the shape's if noise were independent; the true one is so many times as
+    /// large.
+    pub(crate) fn of(views: &[OfView], covariance: &SMatrix<f64, SHAPE, SHAPE>, times: f64) -> Self {
+        let ways = WAYS * views.len();
+        let shape = ShapeBy::from_fn_generic(Const, Dyn(ways), |i, way| views[way / WAYS].shape[(i, way % WAYS)]);
+        let response = covariance * &shape;
+        let mut information = -(shape.transpose() * &response);
+        let mut pull = DVector::zeros(ways);
+        for (k, view) in views.iter().enumerate() {
+            let mut own = information.fixed_view_mut::<WAYS, WAYS>(WAYS * k, WAYS * k);
+            own += view.information;
+            pull.fixed_rows_mut::<WAYS>(WAYS * k).copy_from(&view.pull);
+        }
+        Self { information: information / times, pull: pull / times, response }
+    }
+
+    /// Adds another look.
+    pub(crate) fn add(&mut self, look: &Self) {
+        self.information += &look.information;
+        self.pull += &look.pull;
+        self.response.clone_from(&look.response);
+    }
+}
