@@ -10,7 +10,7 @@ use crate::track::chunk::{CHUNK, Chunk, Light, Piece, Rows, Scene};
 use crate::track::equations::Eliminated;
 use crate::track::fields::RowShift;
 use crate::track::grain::Differences;
-use crate::track::mosaic::Mosaic;
+use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
 use crate::track::padded::{PADDED, Padded, products, unpadded_square};
@@ -267,15 +267,14 @@ impl Comparison {
     /// As [`Patch::select`].
     pub(crate) fn select(
         picture: &Picture,
-        mosaic: Option<Mosaic>,
+        model: &ImageModel,
         shown: &Shown<'_>,
-        chroma_offset_px: [f64; 2],
         density: Density,
         margin_px: f64,
     ) -> Result<Self, NoFit> {
         let spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut comparison = Self { memory: spare.unwrap_or_default(), scores: None };
-        comparison.memory.patch.select(picture, mosaic, shown, chroma_offset_px, density, margin_px)?;
+        comparison.memory.patch.select(picture, model, shown, density, margin_px)?;
         comparison.memory.prepare();
         Ok(comparison)
     }

@@ -9,7 +9,7 @@
 
 use crate::rig::Rig;
 use crate::track::apart::{Apart, WAYS};
-use crate::track::group_fit::Fitted;
+use crate::track::fit::TubeFit;
 use crate::track::stretch::Group;
 use nalgebra::{DMatrix, DVector, Point2, Vector2};
 
@@ -67,7 +67,11 @@ struct OfGroup {
     /// How often it was looked at, and how many frames ago.
     looks: u32,
     since: u32,
+    /// How far red and blue lie beside luma there, pixels, and the covariance of that, as known at the last look.
+    ways_px: Option<Ways>,
 }
+
+type Ways = (DVector<f64>, DMatrix<f64>);
 
 impl OfGroup {
     fn is(&self, group: &Group, views: &[usize]) -> bool {
@@ -128,15 +132,13 @@ impl Fringes {
     }
 
     /// Adds what a fit has seen, and moves it to where luma shows the tube.
-    pub(crate) fn follow(&mut self, Fitted { group, views, result }: &mut Fitted) {
-        let Ok(fit) = result else { return };
+    pub(crate) fn follow(&mut self, group: &Group, views: &[usize], fit: &mut TubeFit) {
         if let Some(look) = &fit.apart {
             self.look(group, views, fit.views.iter().map(|view| view.image.at_arc(0.0).pixel).collect(), look);
         }
         let Some(known) = self.groups.iter_mut().find(|known| known.is(group, views)) else { return };
         known.since += 1;
-        let Some(known) = self.groups.iter().find(|known| known.is(group, views)) else { return };
-        let Some((ways_px, covariance)) = self.ways_px(known) else { return };
+        let Some((ways_px, covariance)) = &known.ways_px else { return };
         let response = &known.here.response;
         fit.shape = fit.shape.moved(&-(response * ways_px));
         fit.covariance += response * covariance * response.transpose();
@@ -144,25 +146,35 @@ impl Fringes {
 
     /// Adds a look at a group whose reference is at these pixels.
     fn look(&mut self, group: &Group, views: &[usize], at: Vec<Point2<f64>>, look: &Apart) {
-        let Some(known) = self.groups.iter_mut().find(|known| known.is(group, views)) else {
-            let (markers, views) = (group.members.iter().map(|(marker, _)| *marker).collect(), views.to_vec());
-            self.groups.push(OfGroup { markers, views, at, here: look.clone(), looks_here: 1, looks: 1, since: 0 });
-            return;
-        };
-        let ways_px = known.at.iter().zip(&at).map(|(before, now)| (now - before).norm());
-        if ways_px.fold(0.0, f64::max) > ELSEWHERE_PX {
-            self.before.fade(0.5_f64.powf(1.0 / HALF_LIFE));
-            self.before.add(known, &self.centre);
-            (known.at, known.here, known.looks_here) = (at, look.clone(), 1);
-        } else {
-            known.here.add(look);
-            known.looks_here += 1;
+        let at_known = self.groups.iter().position(|known| known.is(group, views));
+        let i = at_known.unwrap_or(self.groups.len());
+        match self.groups.get_mut(i) {
+            None => {
+                let (markers, views) = (group.members.iter().map(|(marker, _)| *marker).collect(), views.to_vec());
+                let (here, ways_px) = (look.clone(), None);
+                self.groups.push(OfGroup { markers, views, at, here, looks_here: 1, looks: 1, since: 0, ways_px });
+            }
+            Some(known) => {
+                let moved_px = known.at.iter().zip(&at).map(|(before, now)| (now - before).norm());
+                if moved_px.fold(0.0, f64::max) > ELSEWHERE_PX {
+                    self.before.fade(0.5_f64.powf(1.0 / HALF_LIFE));
+                    self.before.add(known, &self.centre);
+                    (known.at, known.here, known.looks_here) = (at, look.clone(), 1);
+                } else {
+                    known.here.add(look);
+                    known.looks_here += 1;
+                }
+                (known.looks, known.since) = (known.looks + 1, 0);
+            }
         }
-        (known.looks, known.since) = (known.looks + 1, 0);
+        let ways_px = self.groups.get(i).and_then(|known| self.ways_px(known));
+        if let Some(known) = self.groups.get_mut(i) {
+            known.ways_px = ways_px;
+        }
     }
 
     /// How far red and blue lie beside luma in the views of a group, pixels, and the covariance of that.
-    fn ways_px(&self, of: &OfGroup) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    fn ways_px(&self, of: &OfGroup) -> Option<Ways> {
         let mut all = self.before.clone();
         all.add_prior();
         self.groups.iter().for_each(|group| all.add(group, &self.centre));
@@ -177,7 +189,7 @@ impl Fringes {
     /// Whether blue clearly lies far from red in a view.
     pub(crate) fn are_seen(&self) -> bool {
         let known = self.groups.iter().filter(|group| group.looks >= KNOWN);
-        known.filter_map(|group| self.ways_px(group)).any(|(ways_px, covariance)| {
+        known.filter_map(|group| group.ways_px.as_ref()).any(|(ways_px, covariance)| {
             let mut views = (0..ways_px.len()).step_by(WAYS);
             views.any(|first| {
                 let of = |at: usize| ways_px.fixed_rows::<2>(first + at);

@@ -8,6 +8,7 @@
 use crate::source::{Picture, Plane};
 use crate::track::appearance::{BACKGROUND, CAP, Layout, segment_at};
 use crate::track::channel::{Beside, Channel};
+use crate::track::image_model::ImageModel;
 use crate::track::light::Encoding;
 use crate::track::mosaic::Mosaic;
 use crate::track::no_fit::NoFit;
@@ -283,13 +284,13 @@ impl Patch {
     pub(crate) fn select(
         &mut self,
         picture: &Picture,
-        mosaic: Option<Mosaic>,
+        model: &ImageModel,
         shown: &Shown<'_>,
-        chroma_offset_px: [f64; 2],
         density: Density,
         margin_px: f64,
     ) -> Result<(), NoFit> {
         let Shown { image, layout, range_m } = *shown;
+        let ImageModel { chroma_offset_px, mosaic, .. } = *model;
         let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
         let middle = self.field.surround(image, range, picture.size_px(), margin_px).ok_or(NoFit::OutOfPicture)?;
         let beside = Beside::of(picture, chroma_offset_px);

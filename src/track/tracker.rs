@@ -225,7 +225,11 @@ impl Tracker {
         views.filter_map(|view| view.grain.as_ref()).for_each(|grain| self.grain.add(grain));
         let moved_px = self.look_at_motion(frame.stamp, &fitted);
         self.widen_by_lag(frame.stamp, &mut fitted);
-        fitted.iter_mut().for_each(|fitted| self.fringes.follow(fitted));
+        for Fitted { group, views, result } in &mut fitted {
+            if let Ok(fit) = result {
+                self.fringes.follow(group, views, fit);
+            }
+        }
         if self.fields.are_woven() {
             return Ok((Err(Miss::Interlaced), Some(Measured { found, fitted, moved_px })));
         }

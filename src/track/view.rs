@@ -72,9 +72,8 @@ impl View {
         Selection { density, margin_px, weighing }: Selection,
         known_colours: Option<Vec<f64>>,
     ) -> Result<Self, NoFit> {
-        let offset_px = model.chroma_offset_px;
         let shown = Shown { image, layout: &stretch.layout, range_m };
-        let comparison = Comparison::select(picture, model.mosaic, &shown, offset_px, density, margin_px)?;
+        let comparison = Comparison::select(picture, model, &shown, density, margin_px)?;
         let patch = comparison.patch();
         if picture.quantisation().is_some_and(|q| coded_variance(q, patch) > COARSEST) {
             return Err(NoFit::TooCoarse);
