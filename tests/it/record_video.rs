@@ -66,8 +66,8 @@ fn ffv1_is_tracked_to_the_same_table_with_the_same_stamps() {
     let first = track(Box::new(recording()), &first_file, Some(recorder));
     assert!(first.contains(&ODD_NS.to_string()), "{first}");
     track(open(&video), &again, None);
-    // That the pictures had been H.264 before is not in the copy: σ differs, and, by which it is weighed, a little of what is
-    // known of red and blue apart.
+    // That the pictures had been H.264 before is not in the copy: σ differs, and, by which it is weighed, a little of
+    // what is known of red and blue apart.
     let most = |column: &str| match column {
         "azimuth_deg" => 1.0,
         _ if column.ends_with("_mm") => 0.005,
