@@ -168,7 +168,9 @@ fn recording_is_begun_and_ended_by_the_page_each_stretch_whole_and_none_over_ano
         }
         windows += 1;
         let [(a, b), (sd, _)] = ["coil_z_mm", "coil_sd_mm"].map(|name| {
-            let number = |row: &std::collections::HashMap<String, String>| row[name].parse::<f64>().unwrap();
+            let number = |row: &std::collections::HashMap<String, String>| {
+                row[name].parse::<f64>().unwrap_or_else(|_| panic!("{name} in live {live:?} and again {again:?}"))
+            };
             (number(live), number(again))
         });
         // The tracker begins anew there: its memory of colours and blur is another.
