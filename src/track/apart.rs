@@ -10,10 +10,13 @@
 //! jointly for all views.
 
 use crate::track::appearance::Layout;
+use crate::track::chunk::{Rows, Scene};
+use crate::track::compare::{Comparison, Part};
 use crate::track::equations::Eliminated;
-use crate::track::normal::{ROW, Row, Span, add_colours, add_shape};
+use crate::track::normal::{ROW, Row, Span, add_colours, add_row, add_shape, shifted};
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
+use multiversion::multiversion;
 use nalgebra::{Const, DMatrix, DVector, Dyn, Matrix2, SMatrix, SVector, Vector2};
 
 /// What lies apart in a view: red to the right and down, blue to the right and down.
@@ -22,7 +25,7 @@ pub(crate) const WAYS: usize = 4;
 /// Sums over the samples of a view.
 pub(crate) struct ColourSums {
     /// For each span Σ w t ∂, for a shift of red across the tube and along it, and of blue.
-    pub rows: Vec<[Row; WAYS]>,
+    rows: Vec<[Row; WAYS]>,
     /// Σ w T Tᵀ and Σ w T e in the picture's axes.
     information: SMatrix<f64, WAYS, WAYS>,
     pull: SVector<f64, WAYS>,
@@ -47,12 +50,21 @@ pub(crate) struct Apart {
 }
 
 impl ColourSums {
-    pub(crate) fn new(spans: usize) -> Self {
-        Self { rows: vec![[[0.0; ROW]; WAYS]; spans], information: SMatrix::zeros(), pull: SVector::zeros() }
+    /// Of the model as it was rendered.
+    pub(crate) fn of(comparison: &mut Comparison, scene: &Scene<'_>) -> Self {
+        let rows = vec![[[0.0; ROW]; WAYS]; comparison.patch().spans.len()];
+        let mut sums = Self { rows, information: SMatrix::zeros(), pull: SVector::zeros() };
+        let (mut red, mut blue) = <(Rows, Rows)>::default();
+        comparison.derive(scene, |_, part| {
+            let [of_red, of_blue] = &part.channel.apart;
+            let red = red.of(part.chunk, part.piece, part.light, of_red);
+            add(&mut sums, part, [red, blue.of(part.chunk, part.piece, part.light, of_blue)]);
+        });
+        sums
     }
 
     /// Adds sums along these axes, across the tube and along it.
-    pub(crate) fn add_along(&mut self, axes: [Vector2<f64>; 2], information: &[[f32; WAYS]; WAYS], pull: &[f32; WAYS]) {
+    fn add_along(&mut self, axes: [Vector2<f64>; 2], information: &[[f32; WAYS]; WAYS], pull: &[f32; WAYS]) {
         let mut turn = SMatrix::<f64, WAYS, WAYS>::zeros();
         for at in [0, 2] {
             turn.fixed_view_mut::<2, 2>(at, at).copy_from(&Matrix2::from_columns(&axes));
@@ -110,10 +122,35 @@ impl Apart {
         Self { information: information / times, pull: pull / times, response }
     }
 
+    /// No look yet, at so many views.
+    pub(crate) fn nothing(views: usize) -> Self {
+        let ways = WAYS * views;
+        let (information, pull) = (DMatrix::zeros(ways, ways), DVector::zeros(ways));
+        Self { information, pull, response: ShapeBy::zeros(ways) }
+    }
+
     /// Adds another look.
     pub(crate) fn add(&mut self, look: &Self) {
         self.information += &look.information;
         self.pull += &look.pull;
         self.response.clone_from(&look.response);
     }
+}
+
+/// Adds samples to what they show of red and blue apart, with the derivatives of what is red in them, and of what is
+/// blue.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn add(sums: &mut ColourSums, part: &Part<'_>, [red, blue]: [&[Row]; 2]) {
+    let (mut information, mut pull) = ([[0.0; WAYS]; WAYS], [0.0; WAYS]);
+    for ((row, residual, weight, _), (red, blue)) in part.samples().zip(red.iter().zip(blue)) {
+        let ([r, s], [b, c]) = (shifted(red, part.seen), shifted(blue, part.seen));
+        let ways = [r, s, b, c];
+        for (i, way) in ways.into_iter().enumerate() {
+            let weighed = weight * way;
+            pull[i] += weighed * residual;
+            information[i].iter_mut().zip(ways).for_each(|(sum, other)| *sum += weighed * other);
+            add_row(&mut sums.rows[part.span][i], row, part.seen, weighed);
+        }
+    }
+    sums.add_along(part.axes, &information, &pull);
 }

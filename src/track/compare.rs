@@ -4,7 +4,6 @@
 //! chunk, where they are summed, and not kept.
 
 use crate::source::Picture;
-use crate::track::apart::{ColourSums, WAYS};
 use crate::track::channel::Channel;
 use crate::track::chunk::{CHUNK, Chunk, Light, Piece, Rows, Scene};
 use crate::track::equations::Eliminated;
@@ -217,28 +216,28 @@ impl Scores {
 }
 
 /// Some points of a strip, and what the model says of one of their channels.
-struct Part<'a> {
-    span: usize,
+pub(crate) struct Part<'a> {
+    pub span: usize,
     /// The ring nearest to them.
     ring: usize,
     points: Range<usize>,
-    seen: Seen,
+    pub seen: Seen,
     /// The points, and the piece of tube that they are compared with.
-    chunk: &'a Chunk,
-    piece: &'a Piece,
-    light: &'a Light<'a>,
+    pub chunk: &'a Chunk,
+    pub piece: &'a Piece,
+    pub light: &'a Light<'a>,
     /// The stored channel, and whether it is stored apart from the pixels.
-    channel: &'a Channel,
+    pub channel: &'a Channel,
     apart: bool,
     /// Unit vectors across the tube and along it.
-    axes: [Vector2<f64>; 2],
+    pub axes: [Vector2<f64>; 2],
     cells: &'a [u32],
     /// Rows of the picture, from that of the patch's centre.
     y: &'a [f32],
     middle_y: f32,
     compared: &'a Compared,
     /// Derivatives, padded to whole batches.
-    rows: &'a [Row],
+    pub rows: &'a [Row],
 }
 
 impl Part<'_> {
@@ -252,7 +251,7 @@ impl Part<'_> {
     }
 
     /// Each point's row, residual, weight and cell.
-    fn samples(&self) -> impl Iterator<Item = (&Row, f32, f32, u32)> {
+    pub(crate) fn samples(&self) -> impl Iterator<Item = (&Row, f32, f32, u32)> {
         let Compared { residuals, weights, .. } = self.compared;
         let here = self.points.clone();
         let values = residuals[here.clone()].iter().zip(&weights[here.clone()]).zip(&self.cells[here]);
@@ -368,7 +367,7 @@ impl Comparison {
     }
 
     /// Forms the derivatives of all samples, of the model as it was rendered.
-    fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
+    pub(crate) fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
         let Memory { patch, bunches, channels, sums, rows, .. } = &mut self.memory;
         let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
@@ -491,18 +490,6 @@ impl Comparison {
         Scattered { covariance, slips, rows, coded, widths }
     }
 
-    /// What the residuals show of red and blue that lie apart, of the model as it was rendered.
-    pub(crate) fn apart(&mut self, scene: &Scene<'_>) -> ColourSums {
-        let mut sums = ColourSums::new(self.memory.patch.spans.len());
-        let (mut red, mut blue) = <(Rows, Rows)>::default();
-        self.derive(scene, |_, part| {
-            let [of_red, of_blue] = &part.channel.apart;
-            let red = red.of(part.chunk, part.piece, part.light, of_red);
-            add_apart(&mut sums, part, [red, blue.of(part.chunk, part.piece, part.light, of_blue)]);
-        });
-        sums
-    }
-
     /// Differences between the residuals of neighbouring pixels in a row of the background, in the first channel.
     pub(crate) fn differences(&self) -> Differences {
         let mut differences = Differences::default();
@@ -573,24 +560,6 @@ fn add_to_width(sum: &mut Sum, part: &Part<'_>) {
     }
     sum.information += f64::from(information);
     sum.pull += f64::from(pull);
-}
-
-/// Adds samples to what they show of red and blue apart, with the derivatives of what is red in them, and of what is
-/// blue.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add_apart(sums: &mut ColourSums, part: &Part<'_>, [red, blue]: [&[Row]; 2]) {
-    let (mut information, mut pull) = ([[0.0; WAYS]; WAYS], [0.0; WAYS]);
-    for ((row, residual, weight, _), (red, blue)) in part.samples().zip(red.iter().zip(blue)) {
-        let ([r, s], [b, c]) = (shifted(red, part.seen), shifted(blue, part.seen));
-        let ways = [r, s, b, c];
-        for (i, way) in ways.into_iter().enumerate() {
-            let weighed = weight * way;
-            pull[i] += weighed * residual;
-            information[i].iter_mut().zip(ways).for_each(|(sum, other)| *sum += weighed * other);
-            add_row(&mut sums.rows[part.span][i], row, part.seen, weighed);
-        }
-    }
-    sums.add_along(part.axes, &information, &pull);
 }
 
 /// Adds samples to the slips of chroma that they show, with the derivatives of their chroma alone.

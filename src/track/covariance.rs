@@ -3,7 +3,7 @@
 //! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because decoder errors are correlated between neighbours
 //! and stronger near edges; plus errors of the image model that no residual shows.
 
-use crate::track::apart::Apart;
+use crate::track::apart::{Apart, ColourSums};
 use crate::track::chunk::Scene;
 use crate::track::compare::Scattered;
 use crate::track::equations::Eliminated;
@@ -29,7 +29,7 @@ impl Round<'_> {
         let information = seen.iter().fold(shape_prior(), |sum, view| sum + view.shape);
         let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();
         // The residuals do not contain the priors' information.
-        let mut covariance = plain * shape_prior() * plain;
+        let of_priors = plain * shape_prior() * plain;
         let Round { mut views, stretch, picture, model, blurs_px, rests, looks_apart, .. } = self;
         let Guess { images, colours, turns, .. } = &state.guess;
         let compared = views.par_iter_mut().zip(blurs_px).zip(images).zip(colours).zip(&seen);
@@ -41,18 +41,20 @@ impl Round<'_> {
             };
             let scene = Scene::new(image, turns, colours, stretch, &model.encoding, *blur_px);
             let scattered = view.comparison.scatter(&scene, &plain, &of_colours, eliminated, coder_variances);
-            let apart = looks_apart.then(|| view.comparison.apart(&scene));
+            let apart = looks_apart.then(|| ColourSums::of(&mut view.comparison, &scene));
             let spans = &view.comparison.patch().spans;
             let apart = apart.and_then(|sums| sums.eliminated(spans, image, &stretch.layout, eliminated));
             (scattered, (may_be_coded(picture).then(|| view.comparison.differences()), apart))
         });
         let (scatter, (grain, apart)): (Vec<_>, (Vec<_>, Vec<_>)) = scatter.unzip();
+        let covariance_of_residuals = scatter.iter().fold(of_priors, |sum, scattered| sum + scattered.covariance);
+        let mut covariance = covariance_of_residuals;
         let mut slip_covariance = SMatrix::zeros();
         let predicted = picture.quantisation().is_some_and(|q| q.predicted);
         for (scattered, view) in scatter.iter().zip(&seen) {
             let coded = plain * (view.shape * scattered.coded) * plain;
             let coded = if rests && predicted { at_rest(&coded, &state.guess.shape.tangent()) } else { coded };
-            covariance += scattered.covariance + coded;
+            covariance += coded;
             slip_covariance += scattered.slips.covariance;
         }
         let Guess { shape, colours, images, .. } = end;
@@ -67,9 +69,11 @@ impl Round<'_> {
         let of_sensor = picture.format().has_chroma_per_pixel()
             && model.chroma_offset_px == [0.0; 2]
             && model.error == ModelError::FULL;
-        let inflation = (covariance.fixed_view::<3, 3>(0, 0).trace() / plain.fixed_view::<3, 3>(0, 0).trace()).max(1.0);
+        let inflation = times(&covariance, &plain);
         let apart: Vec<_> = apart.into_iter().flatten().collect();
-        let apart = (apart.len() == seen.len()).then(|| Apart::of(&apart, &plain, inflation));
+        // Weighed by what the pictures show, not by what is known of their coder: a copy of them gives the same shape.
+        let weighed = times(&covariance_of_residuals, &plain);
+        let apart = (apart.len() == seen.len()).then(|| Apart::of(&apart, &plain, weighed));
         let own = points.iter().zip(&seen).zip(normals).zip(&step.colours).map(|(((point, view), normal), colours)| {
             own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
         });
@@ -110,6 +114,12 @@ impl Round<'_> {
             misfit: misfit(normals),
         })
     }
+}
+
+/// How many times as large the position's variance is as if noise were independent.
+fn times(covariance: &SMatrix<f64, SHAPE, SHAPE>, plain: &SMatrix<f64, SHAPE, SHAPE>) -> f64 {
+    let [variance, independent] = [covariance, plain].map(|of| of.fixed_view::<3, 3>(0, 0).trace());
+    (variance / independent).max(1.0)
 }
 
 /// What remains of a coder's covariance when the stretch rests.

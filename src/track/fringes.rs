@@ -74,8 +74,21 @@ struct OfGroup {
 type Ways = (DVector<f64>, DMatrix<f64>);
 
 impl OfGroup {
+    /// Not looked at yet.
+    fn new(group: &Group, views: &[usize]) -> Self {
+        let markers = group.members.iter().map(|(marker, _)| *marker).collect();
+        let here = Apart::nothing(views.len());
+        let (at, views) = (Vec::new(), views.to_vec());
+        Self { markers, views, at, here, looks_here: 0, looks: 0, since: 0, ways_px: None }
+    }
+
     fn is(&self, group: &Group, views: &[usize]) -> bool {
         self.views == views && self.markers.iter().eq(group.members.iter().map(|(marker, _)| marker))
+    }
+
+    /// Whether its reference has moved to another place.
+    fn is_elsewhere(&self, at: &[Point2<f64>]) -> bool {
+        self.at.iter().zip(at).any(|(before, now)| (now - before).norm() > ELSEWHERE_PX)
     }
 
     /// How its r and b follow what is known, of so many parameters.
@@ -133,10 +146,11 @@ impl Fringes {
 
     /// Adds what a fit has seen, and moves it to where luma shows the tube.
     pub(crate) fn follow(&mut self, group: &Group, views: &[usize], fit: &mut TubeFit) {
+        let i = self.number(group, views);
         if let Some(look) = &fit.apart {
-            self.look(group, views, fit.views.iter().map(|view| view.image.at_arc(0.0).pixel).collect(), look);
+            self.look(i, fit.views.iter().map(|view| view.image.at_arc(0.0).pixel).collect(), look);
         }
-        let Some(known) = self.groups.iter_mut().find(|known| known.is(group, views)) else { return };
+        let known = &mut self.groups[i];
         known.since += 1;
         let Some((ways_px, covariance)) = &known.ways_px else { return };
         let response = &known.here.response;
@@ -144,33 +158,29 @@ impl Fringes {
         fit.covariance += response * covariance * response.transpose();
     }
 
+    /// Number of a group in these views.
+    fn number(&mut self, group: &Group, views: &[usize]) -> usize {
+        self.groups.iter().position(|known| known.is(group, views)).unwrap_or_else(|| {
+            self.groups.push(OfGroup::new(group, views));
+            self.groups.len() - 1
+        })
+    }
+
     /// Adds a look at a group whose reference is at these pixels.
-    fn look(&mut self, group: &Group, views: &[usize], at: Vec<Point2<f64>>, look: &Apart) {
-        let at_known = self.groups.iter().position(|known| known.is(group, views));
-        let i = at_known.unwrap_or(self.groups.len());
-        match self.groups.get_mut(i) {
-            None => {
-                let (markers, views) = (group.members.iter().map(|(marker, _)| *marker).collect(), views.to_vec());
-                let (here, ways_px) = (look.clone(), None);
-                self.groups.push(OfGroup { markers, views, at, here, looks_here: 1, looks: 1, since: 0, ways_px });
-            }
-            Some(known) => {
-                let moved_px = known.at.iter().zip(&at).map(|(before, now)| (now - before).norm());
-                if moved_px.fold(0.0, f64::max) > ELSEWHERE_PX {
-                    self.before.fade(0.5_f64.powf(1.0 / HALF_LIFE));
-                    self.before.add(known, &self.centre);
-                    (known.at, known.here, known.looks_here) = (at, look.clone(), 1);
-                } else {
-                    known.here.add(look);
-                    known.looks_here += 1;
-                }
-                (known.looks, known.since) = (known.looks + 1, 0);
-            }
+    fn look(&mut self, i: usize, at: Vec<Point2<f64>>, look: &Apart) {
+        let known = &mut self.groups[i];
+        if known.is_elsewhere(&at) {
+            self.before.fade(0.5_f64.powf(1.0 / HALF_LIFE));
+            self.before.add(known, &self.centre);
+            (known.here, known.looks_here) = (Apart::nothing(known.views.len()), 0);
         }
-        let ways_px = self.groups.get(i).and_then(|known| self.ways_px(known));
-        if let Some(known) = self.groups.get_mut(i) {
-            known.ways_px = ways_px;
+        if known.looks_here == 0 {
+            known.at = at;
         }
+        known.here.add(look);
+        known.looks_here += 1;
+        (known.looks, known.since) = (known.looks + 1, 0);
+        self.groups[i].ways_px = self.ways_px(&self.groups[i]);
     }
 
     /// How far red and blue lie beside luma in the views of a group, pixels, and the covariance of that.
@@ -243,7 +253,8 @@ mod tests {
             let information = DMatrix::identity(2 * WAYS, 2 * WAYS) / SD_PX.powi(2);
             let pull = &information * seen_px;
             let look = Apart { information, pull, response: ShapeBy::zeros(2 * WAYS) };
-            self.fringes.look(&self.group, &[0, 1], at.to_vec(), &look);
+            let i = self.fringes.number(&self.group, &[0, 1]);
+            self.fringes.look(i, at.to_vec(), &look);
         }
 
         /// What is known where the group is, less the truth, and its standard deviations, pixels.

@@ -95,9 +95,7 @@ fn the_sample_has_the_base_frame_it_was_rendered_with() {
     ended_with(&output, 0);
     assert!(stdout(&output).contains("counts as negative"));
     let (other, _) = base(&place);
-    // Now it has a base frame, so the base band is known to rest, and what is known of the colours is weighed
-    // otherwise.
-    assert!((other.b0 + found.b0).amax() < 1e-4);
+    assert!((other.b0 + found.b0).amax() < 1e-9);
     assert_eq!(other.gravity, Some(Vector3::y()));
 }
 

@@ -86,15 +86,17 @@ fn pictures(path: &Path) -> BTreeMap<i64, u64> {
         .collect()
 }
 
+#[cfg(unix)]
 #[test]
 fn recording_is_begun_and_ended_by_the_page_each_stretch_whole_and_none_over_another() {
     let _alone = alone();
     let place = Place::new();
     let long = place.path("long.mkv");
-    looped(&sample("planar.mkv"), 4, &long);
+    // Longer than it takes on a machine that is busy.
+    looped(&sample("planar.mkv"), 6, &long);
     let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
     command.current_dir(place.folder.path()).arg("live").arg(&long).args(["--realtime", "--rig"]);
-    command.arg(&place.rig).args(["-o", "out", "--studio", "--duration", "16"]);
+    command.arg(&place.rig).args(["-o", "out", "--studio"]);
     let studio = Studio::of_live(command);
     let turn = |on: bool, how: &str| studio.json("watch/record", &json!({ "on": on, "how": how }));
     let state = || studio.json("watch", &json!({ "after": null, "currents_after": null }))["status"].clone();
@@ -137,7 +139,7 @@ fn recording_is_begun_and_ended_by_the_page_each_stretch_whole_and_none_over_ano
     println!("{end}");
     assert_eq!(end["recording"]["places"], json!(["pictures.mkv", "log.mcap", "pictures-2.mkv"]));
     assert_eq!(end["recording"]["problem"], Value::Null);
-    assert_eq!(studio.ended(), Some(0));
+    assert_eq!(studio.interrupted(), Some(130));
 
     // As good as those of `--record`: without loss, with their stamps. (That none is left out: live_record.rs.)
     let played = pictures(&long);
@@ -167,10 +169,12 @@ fn recording_is_begun_and_ended_by_the_page_each_stretch_whole_and_none_over_ano
             continue;
         }
         windows += 1;
+        // Where the recording begins again the catheter jumps.
+        if [live, again].iter().any(|row| row["coil_status"] == "implausible_motion") {
+            continue;
+        }
         let [(a, b), (sd, _)] = ["coil_z_mm", "coil_sd_mm"].map(|name| {
-            let number = |row: &std::collections::HashMap<String, String>| {
-                row[name].parse::<f64>().unwrap_or_else(|_| panic!("{name} in live {live:?} and again {again:?}"))
-            };
+            let number = |row: &std::collections::HashMap<String, String>| row[name].parse::<f64>().unwrap();
             (number(live), number(again))
         });
         // The tracker begins anew there: its memory of colours and blur is another.

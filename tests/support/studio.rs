@@ -57,6 +57,14 @@ impl Studio {
         Self { child, port, key, _out: (None, Some(said)) }
     }
 
+    /// Ends it as Ctrl-C does.
+    #[cfg(unix)]
+    pub(crate) fn interrupted(self) -> Option<i32> {
+        let kill = format!("kill -INT {}", self.child.id());
+        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+        self.ended()
+    }
+
     /// Waits until it ends by itself.
     pub(crate) fn ended(mut self) -> Option<i32> {
         if let Some(said) = &mut self._out.1 {
