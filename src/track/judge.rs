@@ -20,9 +20,7 @@ use nalgebra::Vector2;
 const MAX_UNUSUAL_SD: f64 = 4.5;
 /// Cap on the size's part: alone it is no evidence, as it also changes with light and motion.
 const MAX_SIZE_TERM: f64 = 3.0;
-/// Widths that differ from the usual by fewer standard deviations are chance, as are all of these together. Beyond it
-/// the errors are larger than the fit knows: with an edge before part of a band, up to the limit, by about as many
-/// times.
+/// Widths that differ from the usual by fewer standard deviations are chance.
 const CHANCE_SD: f64 = 1.5;
 
 /// Frames over which the disagreement of the views is averaged.
@@ -59,6 +57,14 @@ struct Residual {
     alike: usize,
     view: usize,
     rms: f64,
+}
+
+/// Sum of the squares of so many signs that is mostly chance. Each is normally distributed and counts above zero only:
+/// its square is 1/2 in the mean, with a variance of 5/4. (Coded pictures differ from frame to frame, as some predict
+/// others: with less than this, a quarter of them had a σ that their errors did not have.)
+fn chance(signs: usize) -> f64 {
+    let signs = signs as f64;
+    signs / 2.0 + 1.8 * (1.25 * signs).sqrt()
 }
 
 impl Judge {
@@ -147,7 +153,8 @@ impl Judge {
             });
             let signs: Vec<f64> = signs.collect();
             let all = signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt();
-            fit.covariance *= 1.0 + (all - CHANCE_SD).max(0.0).powi(2);
+            // With an edge before part of a band, errors are larger than the fit knows by about as many times.
+            fit.covariance *= 1.0 + (all * all - chance(2 * signs.len())).max(0.0);
             if all > MAX_UNUSUAL_SD
                 && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
             {
