@@ -23,8 +23,11 @@ const COMPARED_FRAMES: u32 = 30;
 const SAME_NOISE: f64 = 0.1;
 /// Standard deviation of ln(residual) about what was learned.
 const LEARNED_SD: f64 = 0.12;
-/// Least standard deviation assumed: 5 % or less is chance.
+/// Least standard deviation assumed: 5 % or less is chance; and the largest that can be usual. (A swing in H.264 at crf 28
+/// scatters by 0.18, all else by less. Without a limit what comes slowly becomes usual: each value that is just accepted
+/// makes the scatter larger, and the next may exceed the mean by more.)
 const MIN_SD: f64 = 0.05;
+const MAX_SD: f64 = 0.2;
 /// Values beyond this many standard deviations count as if they were there: what comes slowly, as an edge that a band
 /// drifts towards, must not become usual by and by. (With 2, pictures blended with those before are refused when the
 /// catheter begins to swing; with 2.8, a white edge that creeps by 0.06 pixels in each frame passes.)
@@ -43,7 +46,7 @@ struct Level {
 impl Level {
     /// Mean and scatter of the logarithms, once enough frames were seen.
     fn seen(&self) -> Option<(f64, f64)> {
-        (self.frames >= MIN_FRAMES).then(|| (self.mean, self.variance.sqrt().max(MIN_SD)))
+        (self.frames >= MIN_FRAMES).then(|| (self.mean, self.variance.sqrt().clamp(MIN_SD, MAX_SD)))
     }
 
     /// The same, or what was learned, as if it scattered by chance alone.
@@ -184,6 +187,21 @@ mod tests {
             usual.add(1, 0, scattered(i) * 1.03_f64.powi(i));
         }
         assert!(usual.above(1, 0, scattered(40) * 1.03_f64.powi(40), 0.0) > 4.5);
+    }
+
+    #[test]
+    fn values_that_were_just_accepted_do_not_widen_what_is_for_ever() {
+        let mut usual = Usual::new(&fixture::rig());
+        (0..60).for_each(|i| usual.add(1, 0, 4.0 + 0.1 * f64::from(i * 7 % 5 - 2)));
+        let mut value = 4.0;
+        for _ in 0..40 {
+            while usual.above(1, 0, value * 1.01, 0.0) < 4.4 {
+                value *= 1.01;
+            }
+            usual.add(1, 0, value);
+        }
+        assert!(value < 4.0 * 4.0, "{value}");
+        assert!(usual.above(1, 0, 5.0 * 4.0, 0.0) > 4.5);
     }
 
     #[test]
