@@ -128,7 +128,8 @@ const ROUNDED: f64 = 1.0 / 12.0;
 /// What remains of the variance of predicted pictures where a tube rests, across it and along it. A block left in its
 /// place is right there, so across, where luma shows the outline, only the rounding remains. Along the base band only
 /// chroma shows its ends, which a coder smears also at rest: in two recordings of two scenes each the variance was 0.2
-/// step² (0.09 to 0.28).
+/// step² (0.09 to 0.28). Where the contrast of an end or an outline is not above the step it is several times that
+/// (docs/formats.md): the coder need not code it at all.
 pub(crate) const AT_REST: [f64; 2] = [ROUNDED / PREDICTED, 0.2 / PREDICTED];
 
 #[cfg(test)]
