@@ -58,7 +58,7 @@ impl ColourSums {
         comparison.derive(scene, |_, part| {
             let [of_red, of_blue] = &part.channel.apart;
             let red = red.of(part.chunk, part.piece, part.light, of_red);
-            add(&mut sums, part, [red, blue.of(part.chunk, part.piece, part.light, of_blue)]);
+            add_samples(&mut sums, part, [red, blue.of(part.chunk, part.piece, part.light, of_blue)]);
         });
         sums
     }
@@ -140,7 +140,7 @@ impl Apart {
 /// Adds samples to what they show of red and blue apart, with the derivatives of what is red in them, and of what is
 /// blue.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add(sums: &mut ColourSums, part: &Part<'_>, [red, blue]: [&[Row]; 2]) {
+fn add_samples(sums: &mut ColourSums, part: &Part<'_>, [red, blue]: [&[Row]; 2]) {
     let (mut information, mut pull) = ([[0.0; WAYS]; WAYS], [0.0; WAYS]);
     for ((row, residual, weight, _), (red, blue)) in part.samples().zip(red.iter().zip(blue)) {
         let ([r, s], [b, c]) = (shifted(red, part.seen), shifted(blue, part.seen));

@@ -59,9 +59,10 @@ struct Residual {
     rms: f64,
 }
 
-/// Sum of the squares of so many signs that is mostly chance. Each is normally distributed and counts above zero only:
-/// its square is 1/2 in the mean, with a variance of 5/4. (Coded pictures differ from frame to frame, as some predict
-/// others: with less than this, a quarter of them had a σ that their errors did not have.)
+/// Sum of the squares of so many signs up to which they are chance: its mean and 1.8 standard deviations. Each sign is
+/// normally distributed and counts above zero only, so its square is 1/2 in the mean, with a variance of 5/4. (Coded
+/// pictures differ from frame to frame, as some predict others: with less than this, a quarter of them had a σ that
+/// their errors did not have.)
 fn chance(signs: usize) -> f64 {
     let signs = signs as f64;
     signs / 2.0 + 1.8 * (1.25 * signs).sqrt()
@@ -153,7 +154,8 @@ impl Judge {
             });
             let signs: Vec<f64> = signs.collect();
             let all = signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt();
-            // With an edge before part of a band, errors are larger than the fit knows by about as many times.
+            // With an edge before part of a band, errors are about so many times as large as the fit knows. Each view
+            // gives two signs, residual and size; of the width, only what is no chance is in the sum.
             fit.covariance *= 1.0 + (all * all - chance(2 * signs.len())).max(0.0);
             if all > MAX_UNUSUAL_SD
                 && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
@@ -205,5 +207,21 @@ impl Judge {
             Residual { alike, view, rms }
         };
         views.iter().zip(of_views).map(one).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::random::Random;
+
+    #[test]
+    fn of_signs_by_chance_one_sum_in_twenty_is_more() {
+        let mut random = Random::new(7);
+        for signs in [2, 4, 6] {
+            let mut sum = || random.normals(signs).iter().map(|sign| sign.max(0.0).powi(2)).sum::<f64>();
+            let more = (0..20_000).filter(|_| sum() > chance(signs)).count();
+            assert!((800..1400).contains(&more), "{more} of 20 000, {signs} signs");
+        }
     }
 }

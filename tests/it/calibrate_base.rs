@@ -229,8 +229,7 @@ fn ctrl_c_leaves_the_old_rig_as_it_was() {
     let before = std::fs::read(&place.rig).unwrap();
     let mut child = command(&place, &sample("rest.mkv"), &["--planar", &planar()]).spawn().unwrap();
     std::thread::sleep(std::time::Duration::from_millis(500));
-    let kill = format!("kill -INT {}", child.id());
-    assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+    assert!(crate::support::command::signal(&child, "INT"));
     let status = child.wait().unwrap();
     // By itself, or by the system when a busy machine had not begun yet.
     assert!(status.code() == Some(130) || status.signal() == Some(2), "it was to be interrupted before it was done");

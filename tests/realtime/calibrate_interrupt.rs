@@ -2,6 +2,7 @@
 
 #![cfg(unix)]
 
+use crate::support::command;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -38,12 +39,11 @@ fn files(place: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 }
 
 /// Signals after `wait`; the output.
-fn interrupted(mut command: Command, signal: &str, wait: Duration) -> Output {
-    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+fn interrupted(mut run: Command, signal: &str, wait: Duration) -> Output {
+    let child = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     std::thread::sleep(wait);
-    let kill = format!("kill -{signal} {}", child.id());
     // It may be done already.
-    Command::new("sh").args(["-c", &kill]).stderr(Stdio::null()).status().unwrap();
+    let _ = command::signal(&child, signal);
     child.wait_with_output().unwrap()
 }
 

@@ -17,8 +17,7 @@ fn interrupted_by(signal: &str) {
         assert!(began.elapsed() < Duration::from_secs(60), "no rows after a minute");
         std::thread::sleep(Duration::from_millis(5));
     }
-    let kill = format!("kill -{signal} {}", child.id());
-    assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+    assert!(command::signal(&child, signal));
     let output = child.wait_with_output().unwrap();
     let said = ended_with(&output, 130);
 
@@ -60,8 +59,7 @@ fn of_many_recordings_those_that_are_finished_stay_and_resume_goes_on() {
         assert!(began.elapsed() < Duration::from_secs(60), "no rows after a minute");
         std::thread::sleep(Duration::from_millis(5));
     }
-    let kill = format!("kill -INT {}", child.id());
-    assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+    assert!(signal(&child, "INT"));
     let said = ended_with(&child.wait_with_output().unwrap(), 130);
     assert!(said.contains("interrupted: 1 of 2 recordings are done; --resume goes on"), "{said}");
     assert!(place.path("runs/rest/summary.json").exists() && !place.path("runs/planar/summary.json").exists());

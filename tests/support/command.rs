@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use std::collections::HashMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output, Stdio};
 
 pub(crate) fn sample(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_frames").join(name)
@@ -148,6 +148,13 @@ pub(crate) fn stdout(output: &Output) -> String {
 
 pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Sends a signal, such as "INT"; whether the process was still there.
+#[cfg(unix)]
+pub(crate) fn signal(child: &Child, signal: &str) -> bool {
+    let kill = format!("kill -{signal} {}", child.id());
+    Command::new("sh").args(["-c", &kill]).stderr(Stdio::null()).status().unwrap().success()
 }
 
 /// Fails unless the run ended with this exit code; gives what it said on stderr.

@@ -1,6 +1,8 @@
 //! Requests to the studio's server over a plain connection, as from its page, and from pages and programs that it must
 //! refuse.
 
+#[cfg(unix)]
+use super::command::signal;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -60,8 +62,7 @@ impl Studio {
     /// Ends it as Ctrl-C does.
     #[cfg(unix)]
     pub(crate) fn interrupted(self) -> Option<i32> {
-        let kill = format!("kill -INT {}", self.child.id());
-        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+        assert!(signal(&self.child, "INT"));
         self.ended()
     }
 
