@@ -34,6 +34,7 @@ pub(super) struct CameraFile {
     pub denominator: Option<[f64; 3]>,
     pub blur_px: Option<f64>,
     pub chroma_offset_px: Option<[f64; 2]>,
+    pub chroma_reach: Option<[f64; 2]>,
     pub colour_offset_px: Option<[f64; 2]>,
     pub exposure_ms: Option<f64>,
     pub readout_ms: Option<f64>,

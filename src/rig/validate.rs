@@ -71,6 +71,8 @@ const LONGEST_EXPOSURE_MS: f64 = 1000.0;
 const LONGEST_READOUT_MS: f64 = 200.0;
 /// Powers of light that cameras store.
 const GAMMAS: std::ops::RangeInclusive<f64> = 0.2..=1.5;
+/// What its chroma samples can reach: no less than the nearest pixels.
+const CHROMA_REACHES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 /// Nothing is further away: 100 m.
 const FARTHEST_MM: f64 = 1e5;
 /// A wider tube is a slip of the units; pictures of bands of any width cannot be made.
@@ -194,6 +196,11 @@ impl Check<'_> {
             Ok(offset_px)
         };
         let chroma_offset_px = offset_px("camera.chroma_offset_px", raw.chroma_offset_px)?;
+        let chroma_reach = raw.chroma_reach.unwrap_or([1.0; 2]);
+        if let Some(reach) = chroma_reach.iter().find(|reach| !CHROMA_REACHES.contains(*reach)) {
+            let expected = format!("numbers from {} to {}", CHROMA_REACHES.start(), CHROMA_REACHES.end());
+            return Err(self.value("camera.chroma_reach", reach, expected));
+        }
         let colour_offset_px = offset_px("camera.colour_offset_px", raw.colour_offset_px)?;
         if let Some(exposure) = raw.exposure_ms {
             self.positive("camera.exposure_ms", exposure)?;
@@ -220,6 +227,7 @@ impl Check<'_> {
             lens,
             blur_px: raw.blur_px,
             chroma_offset_px,
+            chroma_reach,
             colour_offset_px,
             exposure_s,
             readout_s,

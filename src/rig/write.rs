@@ -94,6 +94,9 @@ fn camera(camera: &Camera) -> String {
         let offset = list(offset.iter().map(|v| decimal(*v, 9)));
         let _ = writeln!(text, "{key} = {offset}");
     }
+    if camera.chroma_reach != [1.0; 2] {
+        let _ = writeln!(text, "chroma_reach = {}", list(camera.chroma_reach.iter().map(|v| decimal(*v, 6))));
+    }
     if let Some(exposure_s) = camera.exposure_s {
         let _ = writeln!(text, "exposure_ms = {}", decimal(exposure_s * 1e3, 6));
     }

@@ -19,6 +19,8 @@ const NOISE: f64 = 2.0;
 pub fn taught(rig: &Rig, scene: &Scene) -> Result<Rig, SceneError> {
     let mut new = rig.clone();
     new.camera.chroma_offset_px = [0.0; 2];
+    // Three columns are weighed, and the mean of two rows is taken (video.rs).
+    new.camera.chroma_reach = [1.0, 0.5];
     new.camera.colour_offset_px = [0.0; 2];
     new.camera.gamma = None;
     if rig.markers.iter().all(|marker| !marker.colours.is_empty()) {

@@ -253,7 +253,7 @@ mod tests {
         let error =
             ModelError { across_px: 0.0, along_px: 0.0, turn_px: 0.0, along_at_clamp_px: 0.0, ..ModelError::FULL };
         let encoding = Encoding::new(TRANSFER);
-        ImageModel { encoding, chroma_offset_px: [0.0; 2], mosaic: None, error }
+        ImageModel { encoding, chroma_offset_px: [0.0; 2], chroma_reach: [1.0; 2], mosaic: None, error }
     }
 
     fn stretch() -> Stretch {
@@ -465,6 +465,44 @@ mod tests {
         let off_m = [&fit.shape, &back].map(|shape| (shape.at(22e-3).0 - together.shape.at(22e-3).0).norm());
         assert!(off_m[0] > 30e-6, "it does not matter: {off_m:?}");
         assert!(off_m[1] < 0.3 * off_m[0], "{off_m:?}");
+    }
+
+    #[test]
+    fn chroma_is_compared_with_the_pixels_that_it_was_made_of() {
+        let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
+        let drawn = tube.picture(Sensor::default(), 8);
+        let (colour, [width, height]) = (drawn.colour(), drawn.size_px());
+        let rgb = drawn.rgb_from_stored().unwrap();
+        let at = |x: u32, y: u32| {
+            let stored = |c: usize| {
+                let plane = drawn.plane(c).unwrap();
+                f64::from(plane.row(y as usize).unwrap()[x as usize * plane.step])
+            };
+            rgb.apply(&Vector3::from_fn(|c, _| stored(c)))
+        };
+        // Each sample is the mean of the four pixels around it.
+        let format = PixelFormat::Yuv { chroma_log2: [1, 1] };
+        let plane = |channel: usize| {
+            let (weights, constant) = colour.channel_from_rgb(format, channel);
+            let side = if channel == 0 { 1 } else { 2 };
+            let value = |i: u32, j: u32| {
+                let pixels = (0..side).flat_map(|y| (0..side).map(move |x| at(side * i + x, side * j + y)));
+                let mean = pixels.sum::<Vector3<f64>>() / f64::from(side * side);
+                (Vector3::from(weights).dot(&mean) + constant).round().clamp(0.0, 255.0) as u8
+            };
+            (0..height / side).flat_map(|j| (0..width / side).map(move |i| (i, j))).map(|(i, j)| value(i, j)).collect()
+        };
+        let planes = (0..3).map(plane).collect();
+        let picture = Picture::from_planes(width, height, format, colour, planes).unwrap();
+        let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
+        let misfit = |reach: f64| {
+            // They are said to be on the left pixels.
+            let model = ImageModel { chroma_offset_px: [0.5, 0.0], chroma_reach: [reach; 2], ..model() };
+            fitting(&stretch(), &views(), &model, &picture).fit(&start).unwrap().misfit
+        };
+        let [nearest, linear] = [0.5, 1.0].map(misfit);
+        // Few samples show edges.
+        assert!(nearest < linear - 0.005, "mean ln σ² {nearest} and {linear}");
     }
 
     #[test]

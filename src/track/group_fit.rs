@@ -297,6 +297,7 @@ mod tests {
         let model = ImageModel {
             encoding: Encoding::new(picture.colour().transfer),
             chroma_offset_px: rig.camera.chroma_offset_px,
+            chroma_reach: rig.camera.chroma_reach,
             mosaic: None,
             error: ModelError::CODED,
         };

@@ -10,6 +10,8 @@ pub(crate) struct ImageModel {
     pub encoding: Encoding,
     /// Offset of the chroma samples from where the stream puts them, pixels.
     pub chroma_offset_px: [f64; 2],
+    /// How far a subsampled one reaches, in distances between samples ([`crate::rig::Camera::chroma_reach`]).
+    pub chroma_reach: [f64; 2],
     /// Of the sensor, if its pixels saw one colour each.
     pub mosaic: Option<Mosaic>,
     /// At the blur at which it was measured.

@@ -82,10 +82,10 @@ impl Layer {
 
     /// Takes the samples of subsampled channels whose neighbourhoods are used, in the order of their central pixels,
     /// still without channels.
-    fn take_samples(&mut self, plane: &Plane<'_>, chroma_offset_px: [f64; 2], of: &Selected<'_>) {
+    fn take_samples(&mut self, plane: &Plane<'_>, model: &ImageModel, of: &Selected<'_>) {
         let Selected { pixels, middle, places, field, density } = of;
         let [sx, sy] = plane.scale.map(i64::from);
-        let all = neighbourhoods(plane, chroma_offset_px, *density, field);
+        let all = neighbourhoods(plane, model, *density, field);
         let Self { at, central, taps, ends, .. } = self;
         at.clear();
         central.clear();
@@ -116,7 +116,7 @@ impl Layer {
         }
         for (axis, to) in [&mut self.x, &mut self.y].into_iter().enumerate() {
             let scale = f64::from(plane.scale[axis]);
-            let off = if scale > 1.0 { plane.offset[axis] + chroma_offset_px[axis] } else { 0.0 };
+            let off = if scale > 1.0 { plane.offset[axis] + model.chroma_offset_px[axis] } else { 0.0 };
             refill(to, at.iter().map(|at| (at[axis] as f64 * scale + off - middle[axis]) as f32));
         }
         let of_pixels = || central.iter().copied();
@@ -124,8 +124,9 @@ impl Layer {
         refill(&mut self.outside, of_pixels().map(|pixel| pixels.outside[pixel]));
         refill(&mut self.cells, of_pixels().map(|pixel| pixels.cells[pixel]));
         take_strips(&mut self.strips, of_pixels().map(|pixel| &places[pixel]));
-        let spread = |scale: i64| if scale > 1 { (scale * scale) as f64 / 6.0 } else { 0.0 };
-        self.spread_px2 = Vector2::new(spread(sx), spread(sy));
+        let [reach_x, reach_y] = model.chroma_reach;
+        let spread = |scale: i64, reach: f64| if scale > 1 { (scale as f64 * reach).powi(2) / 6.0 } else { 0.0 };
+        self.spread_px2 = Vector2::new(spread(sx, reach_x), spread(sy, reach_y));
     }
 
     /// Takes channels and their stored values at its points; `None` when there is no such data.
@@ -242,20 +243,15 @@ struct Neighbourhood {
 }
 
 /// One neighbourhood for each phase of a sample in the pattern of used pixels.
-fn neighbourhoods(
-    plane: &Plane<'_>,
-    chroma_offset_px: [f64; 2],
-    density: Density,
-    field: &Field,
-) -> Vec<Neighbourhood> {
+fn neighbourhoods(plane: &Plane<'_>, model: &ImageModel, density: Density, field: &Field) -> Vec<Neighbourhood> {
     let axis_taps = |axis: usize| -> Vec<(i64, f64)> {
         let scale = f64::from(plane.scale[axis]);
         if plane.scale[axis] == 1 {
             return vec![(0, 1.0)];
         }
-        let place = plane.offset[axis] + chroma_offset_px[axis];
-        let weight = |d: i64| (1.0 - (d as f64 - place).abs() / scale).max(0.0);
-        let span = ((place - scale).floor() as i64)..=((place + scale).ceil() as i64);
+        let (place, reach) = (plane.offset[axis] + model.chroma_offset_px[axis], scale * model.chroma_reach[axis]);
+        let weight = |d: i64| (1.0 - (d as f64 - place).abs() / reach).max(0.0);
+        let span = ((place - reach).floor() as i64)..=((place + reach).ceil() as i64);
         span.filter(|&d| weight(d) > 0.0).map(|d| (d, weight(d))).collect()
     };
     let (across, down) = (axis_taps(0), axis_taps(1));
@@ -321,7 +317,7 @@ impl Patch {
                 subsampled += 1;
                 layer.take_samples(
                     &planes[0],
-                    chroma_offset_px,
+                    model,
                     &Selected { pixels, middle, places: &places.list, field, density },
                 );
                 layer

@@ -125,6 +125,7 @@ impl Tracker {
             model: ImageModel {
                 encoding: rig.camera.gamma.map_or_else(|| Encoding::new(transfer), Encoding::power),
                 chroma_offset_px: rig.camera.chroma_offset_px,
+                chroma_reach: rig.camera.chroma_reach,
                 mosaic: None,
                 error: ModelError::CODED,
             },

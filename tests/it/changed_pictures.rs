@@ -4,9 +4,12 @@ use crate::support::command::{rig, sample};
 use catoptra::calibrate::markers::{MarkersOptions, Pick, calibrate_markers};
 use catoptra::estimate::{BandObservation, Estimate};
 use catoptra::rig::Rig;
-use catoptra::source::{Frame, FrameSource, Picture, PixelFormat, SourceError, VideoFile, VideoOptions};
+use catoptra::simulate::{CentreLine, Exposed, Mount, Renderer, Scene, Stored};
+use catoptra::source::{
+    Clock, Frame, FrameSource, Picture, PixelFormat, SourceError, Timestamp, VideoFile, VideoOptions,
+};
 use catoptra::track::{TrackOptions, Tracker};
-use nalgebra::{Point2, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use std::ops::Range;
 
 /// Frames of the sample in which the catheter swings.
@@ -233,8 +236,12 @@ impl FrameSource for Shown {
 
 /// The sample's rig, taught on these frames; σ of the views' blurs.
 fn taught(frames: &[Frame]) -> (Rig, Vec<f64>) {
-    let places = [("base", 408.0), ("coil", 565.0), ("tip", 607.0)];
-    let pick = |(name, y): (&str, f64)| Pick { name: name.into(), view: 0, pixel: Point2::new(431.0, y) };
+    taught_at([("base", 408.0), ("coil", 565.0), ("tip", 607.0)].map(|(name, y)| (name, Point2::new(431.0, y))), frames)
+}
+
+/// The same, where the bands are at these places in the first frame.
+fn taught_at(places: [(&str, Point2<f64>); 3], frames: &[Frame]) -> (Rig, Vec<f64>) {
+    let pick = |(name, pixel): (&str, Point2<f64>)| Pick { name: name.into(), view: 0, pixel };
     let again = |frame: &Frame| Frame { picture: composed(&frame.picture, &frame.picture, 0), ..*frame };
     let mut shown = Shown(frames.iter().map(again).collect::<Vec<_>>().into_iter());
     let teaching = calibrate_markers(&rig(), &places.map(pick), &MarkersOptions::default(), &mut shown);
@@ -434,4 +441,38 @@ fn an_edge_that_creeps_before_a_band_widens_sigma_until_the_band_is_refused() {
     assert!(found[..25].iter().all(|estimate| word(estimate) == "ok"));
     let last: Vec<String> = found[35..].iter().map(word).collect();
     assert!(last.iter().all(|word| word != "ok"), "{last:?}");
+}
+
+/// A straight catheter that turns about its clamp, rendered without a coder: each sample of chroma weighs three columns, the
+/// middle one twice, and is the mean of two rows.
+#[test]
+fn how_far_chroma_reaches_is_taught() {
+    let rig = rig();
+    let mount = Mount::of(&rig, None).unwrap();
+    let camera_from_base = rig.base.as_ref().unwrap().base_from_camera.inverse();
+    let (from_m, to_m) = mount.bands_m[0];
+    let at = |arc_m: f64| camera_from_base * Point3::new(0.0, 0.0, arc_m - (from_m + to_m) / 2.0);
+    let along = camera_from_base * Vector3::z();
+    let line = CentreLine::through(&[0.0, mount.length_m].map(|arc_m| (arc_m, at(arc_m), along))).unwrap();
+    let renderer = Renderer::new(&rig, &Scene::of(&rig, &mount, &line).unwrap()).unwrap();
+    let about = Translation3::from(at(0.0).coords);
+    let frame = |seq: u64| {
+        let angle = 0.3 * (0.2 * seq as f64).sin();
+        let turn = Translation3::identity() * UnitQuaternion::from_scaled_axis(camera_from_base * Vector3::y() * angle);
+        let turned: Isometry3<f64> = about * turn * about.inverse();
+        let picture = renderer.picture(&Exposed::still(&line.moved(&turned)), seq, Stored::Video).unwrap();
+        let stamp = Timestamp { ns: seq as i64 * 16_666_667, clock: Clock::Device };
+        Frame { seq, stamp, gap: 0, host: None, picture }
+    };
+    let frames: Vec<_> = (0..36).map(frame).collect();
+    let pixel = |(from_m, to_m): (f64, f64)| rig.views[0].optics.project(&at((from_m + to_m) / 2.0)).unwrap();
+    let [base, coil, tip] = [0, 1, 2].map(|m| pixel(mount.bands_m[m]));
+    let (learned, _) = taught_at([("base", base), ("coil", coil), ("tip", tip)], &frames);
+    let camera = &learned.camera;
+    println!("{:?} px, reach {:?}, blur {:?} px", camera.chroma_offset_px, camera.chroma_reach, camera.blur_px);
+    let [right, down] = camera.chroma_reach;
+    assert!(right > 0.9 && down < 0.7, "reach {right}, {down}");
+    assert!(camera.chroma_offset_px.iter().all(|off_px| off_px.abs() < 0.05), "{:?} px", camera.chroma_offset_px);
+    let blur_px = camera.blur_px.unwrap();
+    assert!((blur_px - rig.camera.blur_px.unwrap()).abs() < 0.04, "blur {blur_px} px");
 }

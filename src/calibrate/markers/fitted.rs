@@ -1,13 +1,13 @@
-//! Parameters fitted to the pictures: places of the bands along the tube, blur of the lens, offset of the chroma
-//! samples, gamma, exposure.
+//! Parameters fitted to the pictures: places of the bands along the tube, blur of the lens, offset and reach of the
+//! chroma samples, gamma, exposure.
 
 use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped, clipped_mean};
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track, view_blurs};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
-use crate::rig::{Marker, Rig};
-use crate::source::{Frame, PixelFormat};
+use crate::rig::{Camera, Marker, Rig};
+use crate::source::{Frame, Picture};
 use crate::track::curve::mean_with_sd;
 use crate::track::{TrackOptions, Tracker};
 
@@ -30,6 +30,15 @@ const EXPOSURES: usize = 9;
 const EXPOSURE_PAIRS: usize = 24;
 const MIN_EXPOSURE_SDS: f64 = 3.0;
 const MIN_EXPOSURE: f64 = 0.1;
+/// Where the search for blur begins, and its step, pixels.
+const FIRST_BLUR_PX: f64 = 0.6;
+const BLUR_STEP_PX: f64 = 0.1;
+/// Step of the search for an offset of chroma samples, and its limits, pixels; the same for their reach, in distances
+/// between samples: from the nearest pixels to the next samples.
+const CHROMA_STEP_PX: f64 = 0.3;
+const CHROMA_LIMITS_PX: (f64, f64) = (-1.5, 1.5);
+const CHROMA_REACH_STEP: f64 = 0.2;
+const CHROMA_REACHES: (f64, f64) = (0.5, 1.0);
 /// Where the search for gamma begins, its step, and its limits; it counts from a mean ln σ² of the residuals that is
 /// smaller by this much, and by this many σ of the difference.
 const FIRST_GAMMA: f64 = 0.5;
@@ -246,40 +255,40 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
     clearly.then(|| (gamma * 1e3).round() / 1e3)
 }
 
-/// Blur, common to all views, and chroma offset.
+/// Blur, common to all views; where the samples of chroma are, and how far they reach.
 fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
     let some = every(frames, TUNING_FRAMES);
-    let of_format = |is: fn(PixelFormat) -> bool| some.first().is_some_and(|f| is(f.picture.format()));
-    let subsampled = of_format(PixelFormat::is_subsampled);
-    let mut blur = rig.camera.blur_px.unwrap_or(0.6);
-    // Blur and offsets hardly depend on each other: a second pass only polishes.
-    for pass in 0..2 {
-        let finer = if pass == 0 { 1.0 } else { 0.5 };
+    let pictures_are = |are: fn(&Picture) -> bool| some.first().is_some_and(|frame| are(&frame.picture));
+    let subsampled = pictures_are(|picture| picture.format().is_subsampled());
+    // In predicted pictures a coder has smoothed chroma more than whatever sampled it.
+    let as_sampled = subsampled && pictures_are(|picture| picture.quantisation().is_none_or(|q| !q.predicted));
+    rig.camera.blur_px.get_or_insert(FIRST_BLUR_PX);
+    // They hardly depend on each other, but for blur and reach: a second pass only polishes.
+    for finer in [1.0, 0.5] {
         let compared = Compared::with(rig, some.clone(), followers);
-        let with_blur = |blur: f64| {
-            let mut changed = rig.clone();
-            changed.camera.blur_px = Some(blur);
-            changed
-        };
-        if let Some(best) = minimise(blur, 0.1 * finer, view_blurs::LIMITS_PX, |b| compared.excess(&with_blur(b))) {
-            blur = best.at;
-        }
-        *rig = with_blur(blur);
-        for axis in 0..2 {
-            let with_offset = |offset: f64| {
+        let fit = |rig: &mut Rig, step: f64, limits: (f64, f64), of: &dyn Fn(&mut Camera) -> &mut f64| {
+            let start = *of(&mut rig.camera);
+            let with = |value: f64| {
                 let mut changed = rig.clone();
-                changed.camera.chroma_offset_px[axis] = offset;
+                *of(&mut changed.camera) = value;
                 changed
             };
-            let start = rig.camera.chroma_offset_px[axis];
-            let best =
-                subsampled.then(|| minimise(start, 0.3 * finer, (-1.5, 1.5), |at| compared.excess(&with_offset(at))));
-            if let Some(best) = best.flatten() {
-                *rig = with_offset(best.at);
+            if let Some(best) = minimise(start, step * finer, limits, |value| compared.excess(&with(value))) {
+                *rig = with(best.at.clamp(limits.0, limits.1));
+            }
+        };
+        fit(rig, BLUR_STEP_PX, view_blurs::LIMITS_PX, &|camera| camera.blur_px.get_or_insert(FIRST_BLUR_PX));
+        for axis in 0..2 {
+            if subsampled {
+                fit(rig, CHROMA_STEP_PX, CHROMA_LIMITS_PX, &|camera| &mut camera.chroma_offset_px[axis]);
+            }
+            if as_sampled {
+                fit(rig, CHROMA_REACH_STEP, CHROMA_REACHES, &|camera| &mut camera.chroma_reach[axis]);
             }
         }
         // Where each pixel has its own chroma, misfits of two offsets may be those of different channels.
-        for _ in 0..if of_format(PixelFormat::has_chroma_per_pixel) { SLIP_STEPS } else { 0 } {
+        let per_pixel = pictures_are(|picture| picture.format().has_chroma_per_pixel());
+        for _ in 0..if per_pixel { SLIP_STEPS } else { 0 } {
             let Ok(mut tracker) = Tracker::new(rig, TrackOptions::default()) else { break };
             let slip_px = tracker.mean_slip_px(&some);
             (0..2).for_each(|axis| rig.camera.colour_offset_px[axis] -= slip_px[axis]);
@@ -289,6 +298,7 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
     let round = |v: f64| (v * 1e3).round() / 1e3;
     rig.camera.blur_px = rig.camera.blur_px.map(round);
     rig.camera.chroma_offset_px = rig.camera.chroma_offset_px.map(round);
+    rig.camera.chroma_reach = rig.camera.chroma_reach.map(round);
     rig.camera.colour_offset_px = rig.camera.colour_offset_px.map(round);
 }
 

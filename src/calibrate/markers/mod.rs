@@ -7,7 +7,7 @@
 //! 1. `locate`: in the picked frame, the bands are found by their size and the tube's, in all views jointly.
 //! 2. Colours are learned from the bands and their surroundings. With them the tracker must measure the same bands.
 //! 3. Frames from the whole recording are tracked, and the colours are learned again from all bands in all views.
-//! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are fitted
+//! 4. Blur of the lens, offset and reach of the chroma samples, and unknown distances between bands close to the coil are fitted
 //!    to the pictures; so are the lengths of coil and next band, which are compared with those given.
 //!
 //! Nothing learned in an earlier run is used: the same recording and clicks give the same rig.
@@ -122,6 +122,7 @@ impl Teaching {
         rig.camera.blur_px = None;
         rig.views.iter_mut().for_each(|view| view.blur_px = None);
         rig.camera.chroma_offset_px = [0.0; 2];
+        rig.camera.chroma_reach = [1.0; 2];
         rig.camera.colour_offset_px = [0.0; 2];
         rig.camera.exposure_s = options.exposure_s;
         rig.camera.gamma = None;

@@ -427,6 +427,10 @@ fn describe(done: &Teaching) -> String {
         "\nblur of lens and sensor {}; chroma samples sit {x:+.2}, {y:+.2} px beside where the recording says",
         describe_blur(done)
     );
+    let [x, y] = camera.chroma_reach;
+    if [x, y] != [1.0; 2] {
+        let _ = writeln!(text, "they reach {x:.2}, {y:.2} of the distance to the next ones");
+    }
     if let Some(gamma) = camera.gamma {
         let _ = writeln!(
             text,

@@ -216,6 +216,10 @@ fn camera(out: &mut String, rig: &Draft, checked: &Check) -> fmt::Result {
     }
     let [right, down] = camera.chroma_offset_px;
     writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px from where recordings say")?;
+    let [right, down] = camera.chroma_reach;
+    if [right, down] != [1.0; 2] {
+        writeln!(out, "                   they reach {right:.2}, {down:.2} of the distance to the next ones")?;
+    }
     let [right, down] = camera.colour_offset_px;
     match [right, down] == [0.0; 2] {
         true => Ok(()),
