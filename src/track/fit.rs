@@ -467,33 +467,35 @@ mod tests {
         assert!(off_m[1] < 0.3 * off_m[0], "{off_m:?}");
     }
 
+    /// R'G'B' of each pixel.
+    fn rgb_of(picture: &Picture) -> impl Fn(usize, usize) -> Vector3<f64> {
+        let rgb = picture.rgb_from_stored().unwrap();
+        move |x, y| {
+            let stored = |c: usize| picture.plane(c).map(|plane| f64::from(plane.row(y).unwrap()[x * plane.step]));
+            rgb.apply(&Vector3::from_fn(|c, _| stored(c).unwrap()))
+        }
+    }
+
     #[test]
     fn chroma_is_compared_with_the_pixels_that_it_was_made_of() {
         let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
         let drawn = tube.picture(Sensor::default(), 8);
-        let (colour, [width, height]) = (drawn.colour(), drawn.size_px());
-        let rgb = drawn.rgb_from_stored().unwrap();
-        let at = |x: u32, y: u32| {
-            let stored = |c: usize| {
-                let plane = drawn.plane(c).unwrap();
-                f64::from(plane.row(y as usize).unwrap()[x as usize * plane.step])
-            };
-            rgb.apply(&Vector3::from_fn(|c, _| stored(c)))
-        };
+        let (colour, [width, height]) = (drawn.colour(), drawn.size_px().map(|side| side as usize));
+        let at = rgb_of(&drawn);
         // Each sample is the mean of the four pixels around it.
         let format = PixelFormat::Yuv { chroma_log2: [1, 1] };
         let plane = |channel: usize| {
             let (weights, constant) = colour.channel_from_rgb(format, channel);
             let side = if channel == 0 { 1 } else { 2 };
-            let value = |i: u32, j: u32| {
-                let pixels = (0..side).flat_map(|y| (0..side).map(move |x| at(side * i + x, side * j + y)));
-                let mean = pixels.sum::<Vector3<f64>>() / f64::from(side * side);
+            let value = |i: usize, j: usize| {
+                let pixels = (0..side).flat_map(|y| (0..side).map(move |x| (side * i + x, side * j + y)));
+                let mean = pixels.map(|(x, y)| at(x, y)).sum::<Vector3<f64>>() / (side * side) as f64;
                 (Vector3::from(weights).dot(&mean) + constant).round().clamp(0.0, 255.0) as u8
             };
             (0..height / side).flat_map(|j| (0..width / side).map(move |i| (i, j))).map(|(i, j)| value(i, j)).collect()
         };
         let planes = (0..3).map(plane).collect();
-        let picture = Picture::from_planes(width, height, format, colour, planes).unwrap();
+        let picture = Picture::from_planes(width as u32, height as u32, format, colour, planes).unwrap();
         let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
         let misfit = |reach: f64| {
             // They are said to be on the left pixels.
@@ -510,11 +512,7 @@ mod tests {
         let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
         let drawn = tube.picture(Sensor::default(), 8);
         let (colour, [width, height]) = (drawn.colour(), drawn.size_px());
-        let rgb = drawn.rgb_from_stored().unwrap();
-        let at = |x: usize, y: usize| {
-            let stored = |c: usize| drawn.plane(c).map(|plane| f64::from(plane.row(y).unwrap()[x * plane.step]));
-            rgb.apply(&Vector3::from_fn(|c, _| stored(c).unwrap()))
-        };
+        let at = rgb_of(&drawn);
         // With chroma that shows what is so many pixels to its left.
         let of = |format: PixelFormat, channel: usize, left: usize| {
             let (weights, constant) = colour.channel_from_rgb(format, channel);

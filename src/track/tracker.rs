@@ -329,6 +329,18 @@ impl Tracker {
         frames.first().map_or_else(Vector2::zeros, |frame| slip.mean_px_in(frame.picture.format()))
     }
 
+    /// Whether those frames have the noise of their sensor, each without any memory; of subsampled pictures whose coder is
+    /// not known.
+    pub(crate) fn have_sensor_noise(&mut self, frames: &[&Frame]) -> bool {
+        let mut noise = Grain::default();
+        for frame in frames {
+            let fitted = self.fit_alone(frame).map_or(Vec::new(), |(_, fitted)| fitted);
+            let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
+            views.filter_map(|view| view.grain.as_ref()).for_each(|view| noise.add(view));
+        }
+        noise.is_sensor()
+    }
+
     /// Finds and fits the bands of a frame without any memory.
     fn fit_alone(&mut self, frame: &Frame) -> Option<(Found, Vec<Fitted>)> {
         let found = self.finder.find_alone(&self.rig, frame)?;

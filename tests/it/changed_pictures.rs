@@ -443,8 +443,8 @@ fn an_edge_that_creeps_before_a_band_widens_sigma_until_the_band_is_refused() {
     assert!(last.iter().all(|word| word != "ok"), "{last:?}");
 }
 
-/// A straight catheter that turns about its clamp, rendered without a coder: each sample of chroma weighs three columns, the
-/// middle one twice, and is the mean of two rows.
+/// A straight catheter that turns about its clamp, rendered without a coder: each sample of chroma weighs three columns,
+/// the middle one twice, and is the mean of two rows.
 #[test]
 fn how_far_chroma_reaches_is_taught() {
     let rig = rig();

@@ -260,8 +260,10 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
     let some = every(frames, TUNING_FRAMES);
     let pictures_are = |are: fn(&Picture) -> bool| some.first().is_some_and(|frame| are(&frame.picture));
     let subsampled = pictures_are(|picture| picture.format().is_subsampled());
-    // In predicted pictures a coder has smoothed chroma more than whatever sampled it.
-    let as_sampled = subsampled && pictures_are(|picture| picture.quantisation().is_none_or(|q| !q.predicted));
+    // A coder that predicts pictures has smoothed chroma more than whatever sampled it; so have copies of its pictures.
+    let predicted = some.first().and_then(|frame| frame.picture.quantisation()).map(|q| q.predicted);
+    let has_noise = || Tracker::new(rig, TrackOptions::default()).is_ok_and(|mut t| t.have_sensor_noise(&some));
+    let as_sampled = subsampled && predicted.map_or_else(has_noise, |predicted| !predicted);
     rig.camera.blur_px.get_or_insert(FIRST_BLUR_PX);
     // They hardly depend on each other, but for blur and reach: a second pass only polishes.
     for finer in [1.0, 0.5] {

@@ -7,8 +7,8 @@
 //! 1. `locate`: in the picked frame, the bands are found by their size and the tube's, in all views jointly.
 //! 2. Colours are learned from the bands and their surroundings. With them the tracker must measure the same bands.
 //! 3. Frames from the whole recording are tracked, and the colours are learned again from all bands in all views.
-//! 4. Blur of the lens, offset and reach of the chroma samples, and unknown distances between bands close to the coil are fitted
-//!    to the pictures; so are the lengths of coil and next band, which are compared with those given.
+//! 4. Blur of the lens, offset and reach of the chroma samples, and unknown distances between bands close to the coil
+//!    are fitted to the pictures; so are the lengths of coil and next band, which are compared with those given.
 //!
 //! Nothing learned in an earlier run is used: the same recording and clicks give the same rig.
 
