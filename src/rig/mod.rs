@@ -162,9 +162,9 @@ pub struct Camera {
     /// Offset of the chroma samples from where the stream's siting puts them, pixels (right, down): recorders often tag
     /// one siting and sample at another. Zero unless measured.
     pub chroma_offset_px: [f64; 2],
-    /// How far subsampled chroma reaches, right and down, in distances between its samples: each is a mean of pixels up
-    /// to this far from it, the nearest most. 1 unless measured: weights fall linearly to the next sample. At ½ only the
-    /// nearest pixels count, as where a camera or a program takes the mean of two, or one of them.
+    /// How far subsampled chroma reaches, right and down, in distances between its samples: each is a mean of pixels
+    /// up to this far from it, the nearest most. 1 unless measured: weights fall linearly to the next sample. At ½
+    /// only the nearest pixels count, as where a camera or a program takes the mean of two, or one of them.
     pub chroma_reach: [f64; 2],
     /// The same in pictures that store colours for each pixel: of chroma from luma, where they were made from others
     /// that had it elsewhere. Zero unless measured.

@@ -89,13 +89,13 @@ fn camera(camera: &Camera) -> String {
     if let Some(blur) = camera.blur_px {
         let _ = writeln!(text, "blur_px = {}", decimal(blur, 9));
     }
-    let offsets = [("chroma_offset_px", camera.chroma_offset_px), ("colour_offset_px", camera.colour_offset_px)];
-    for (key, offset) in offsets.into_iter().filter(|(_, offset)| *offset != [0.0; 2]) {
-        let offset = list(offset.iter().map(|v| decimal(*v, 9)));
-        let _ = writeln!(text, "{key} = {offset}");
-    }
-    if camera.chroma_reach != [1.0; 2] {
-        let _ = writeln!(text, "chroma_reach = {}", list(camera.chroma_reach.iter().map(|v| decimal(*v, 6))));
+    let unless_usual = [
+        ("chroma_offset_px", camera.chroma_offset_px, 0.0),
+        ("colour_offset_px", camera.colour_offset_px, 0.0),
+        ("chroma_reach", camera.chroma_reach, 1.0),
+    ];
+    for (key, values, _) in unless_usual.into_iter().filter(|(_, values, usual)| *values != [*usual; 2]) {
+        let _ = writeln!(text, "{key} = {}", list(values.iter().map(|v| decimal(*v, 9))));
     }
     if let Some(exposure_s) = camera.exposure_s {
         let _ = writeln!(text, "exposure_ms = {}", decimal(exposure_s * 1e3, 6));

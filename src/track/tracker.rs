@@ -10,7 +10,7 @@ use crate::track::coil::deflection;
 use crate::track::diameter::Diameter;
 use crate::track::fields::Fields;
 use crate::track::find::{Finder, Found};
-use crate::track::fit::TubeFit;
+use crate::track::fit::{TubeFit, ViewFit};
 use crate::track::focus::Focus;
 use crate::track::fringes::Fringes;
 use crate::track::grain::Grain;
@@ -322,23 +322,25 @@ impl Tracker {
     pub(crate) fn mean_slip_px(&mut self, frames: &[&Frame]) -> Vector2<f64> {
         let mut slip = Seen::default();
         for frame in frames {
-            let fitted = self.fit_alone(frame).map_or(Vec::new(), |(_, fitted)| fitted);
-            let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
-            views.for_each(|view| slip.add(&view.slip));
+            self.views_alone(frame).for_each(|view| slip.add(&view.slip));
         }
         frames.first().map_or_else(Vector2::zeros, |frame| slip.mean_px_in(frame.picture.format()))
     }
 
-    /// Whether those frames have the noise of their sensor, each without any memory; of subsampled pictures whose coder is
-    /// not known.
+    /// Whether those frames have the noise of their sensor, each without any memory; of subsampled pictures whose coder
+    /// is not known.
     pub(crate) fn have_sensor_noise(&mut self, frames: &[&Frame]) -> bool {
         let mut noise = Grain::default();
         for frame in frames {
-            let fitted = self.fit_alone(frame).map_or(Vec::new(), |(_, fitted)| fitted);
-            let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
-            views.filter_map(|view| view.grain.as_ref()).for_each(|view| noise.add(view));
+            self.views_alone(frame).filter_map(|view| view.grain).for_each(|view| noise.add(&view));
         }
         noise.is_sensor()
+    }
+
+    /// All views of a frame's bands, fitted without any memory.
+    fn views_alone(&mut self, frame: &Frame) -> impl Iterator<Item = ViewFit> + use<> {
+        let fitted = self.fit_alone(frame).map_or(Vec::new(), |(_, fitted)| fitted);
+        fitted.into_iter().flat_map(|fitted| fitted.result).flat_map(|fit| fit.views)
     }
 
     /// Finds and fits the bands of a frame without any memory.

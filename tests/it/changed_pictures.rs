@@ -9,7 +9,7 @@ use catoptra::source::{
     Clock, Frame, FrameSource, Picture, PixelFormat, SourceError, Timestamp, VideoFile, VideoOptions,
 };
 use catoptra::track::{TrackOptions, Tracker};
-use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Translation3, Vector3};
 use std::ops::Range;
 
 /// Frames of the sample in which the catheter swings.
@@ -443,8 +443,8 @@ fn an_edge_that_creeps_before_a_band_widens_sigma_until_the_band_is_refused() {
     assert!(last.iter().all(|word| word != "ok"), "{last:?}");
 }
 
-/// A straight catheter that turns about its clamp, rendered without a coder: each sample of chroma weighs three columns,
-/// the middle one twice, and is the mean of two rows.
+/// A straight catheter that turns about its clamp, rendered without a coder: each sample of chroma weighs three
+/// columns, the middle one twice, and is the mean of two rows.
 #[test]
 fn how_far_chroma_reaches_is_taught() {
     let rig = rig();
@@ -458,8 +458,7 @@ fn how_far_chroma_reaches_is_taught() {
     let about = Translation3::from(at(0.0).coords);
     let frame = |seq: u64| {
         let angle = 0.3 * (0.2 * seq as f64).sin();
-        let turn = Translation3::identity() * UnitQuaternion::from_scaled_axis(camera_from_base * Vector3::y() * angle);
-        let turned: Isometry3<f64> = about * turn * about.inverse();
+        let turned = about * Isometry3::rotation(camera_from_base * Vector3::y() * angle) * about.inverse();
         let picture = renderer.picture(&Exposed::still(&line.moved(&turned)), seq, Stored::Video).unwrap();
         let stamp = Timestamp { ns: seq as i64 * 16_666_667, clock: Clock::Device };
         Frame { seq, stamp, gap: 0, host: None, picture }
