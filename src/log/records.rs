@@ -310,7 +310,8 @@ impl Records {
         let saved = body.first_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
         let computed = self.checksum.take().map(crc32fast::Hasher::finalize);
         if saved != 0 && computed.is_some_and(|computed| computed != saved) && self.condition.damage.is_empty() {
-            let what = "the checksum of the data differs: an index or metadata are damaged, no message is";
+            let what =
+                "the checksum of the data differs: no message is damaged (an index, metadata or unused bits are)";
             self.damaged(at, what.to_owned());
         }
     }
