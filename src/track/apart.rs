@@ -11,9 +11,10 @@
 
 use crate::track::appearance::Layout;
 use crate::track::chunk::{Rows, Scene};
-use crate::track::compare::{Comparison, Part};
+use crate::track::compare::Comparison;
 use crate::track::equations::Eliminated;
 use crate::track::normal::{ROW, Row, Span, add_colours, add_row, add_shape, shifted};
+use crate::track::part::Part;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
 use multiversion::multiversion;

@@ -1,25 +1,23 @@
-//! Comparison of a patch with the image model: residuals, their normal equations, and the scatter of the residuals.
+//! Comparison of a patch with the image model: residuals, and their normal equations. (Their scatter: scores.rs.)
 //!
 //! [`Comparison::render`] evaluates the model and compares it with all samples. Derivatives are formed from it chunk by
 //! chunk, where they are summed, and not kept.
 
 use crate::source::Picture;
 use crate::track::channel::Channel;
-use crate::track::chunk::{CHUNK, Chunk, Light, Piece, Rows, Scene};
+use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
 use crate::track::equations::Eliminated;
-use crate::track::fields::RowShift;
 use crate::track::grain::Differences;
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
-use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
-use crate::track::padded::{PADDED, Padded, products, unpadded_square};
+use crate::track::normal::{Normal, ROW, Squares, Sums};
+use crate::track::part::{Compared, Part};
 use crate::track::patch::{Layer, Patch, Shown};
 use crate::track::places::Density;
-use crate::track::slip::Slips;
-use crate::track::tube::{SHAPE, ShapeBy};
-use crate::track::widths::{Sum, Width, widths};
+use crate::track::scores::{Scattered, Scores};
+use crate::track::tube::SHAPE;
 use multiversion::multiversion;
-use nalgebra::{SMatrix, Vector2};
+use nalgebra::SMatrix;
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
@@ -28,18 +26,6 @@ const HUBER: f32 = 3.5;
 
 /// Standard deviation of a sample, per channel: near the tube, and in the background.
 pub(crate) type Noise = [[f64; 2]; 3];
-
-/// Scatter of a view's residuals, and what a coder adds.
-pub(crate) struct Scattered {
-    /// Covariance of the shape.
-    pub covariance: SMatrix<f64, SHAPE, SHAPE>,
-    pub slips: Slips,
-    pub rows: RowShift,
-    /// Variance of a coder's errors over that of the noise the samples are weighed by: mean, weighted by each sample's
-    /// information about the band's position.
-    pub coded: f64,
-    pub widths: Vec<Width>,
-}
 
 /// Some points of a layer that are evaluated together.
 #[derive(Default)]
@@ -97,13 +83,8 @@ struct Memory {
     /// The channels of the pixels, then those of the other layers.
     channels: Vec<Compared>,
     sums: Sums,
+    scores: Scores,
     rows: Box<Rows>,
-    /// Sums of rows over each cell, and of the weights; those of rows over each square, mapped to the shape; the
-    /// variances of each square.
-    cells: Vec<Row>,
-    coded: Vec<[f32; 3]>,
-    squares: Vec<Padded>,
-    variances: Vec<[f64; 3]>,
 }
 
 /// Memories in no use; more than these are dropped.
@@ -133,16 +114,6 @@ impl Memory {
     }
 }
 
-/// The samples of a channel compared with the model.
-#[derive(Default)]
-struct Compared {
-    /// Predicted at each pixel.
-    predicted: Vec<f32>,
-    /// Stored minus predicted, in the order of the layer's points.
-    residuals: Vec<f32>,
-    weights: Vec<f32>,
-}
-
 /// Sums over the samples of a view, weighted.
 struct Weighed {
     /// Robust cost.
@@ -154,8 +125,8 @@ struct Weighed {
 /// A patch compared with the model.
 pub(crate) struct Comparison {
     memory: Memory,
-    /// Those of the last equations, if they were kept.
-    scores: Option<Scores>,
+    /// Whether the memory has the scores of the last equations.
+    scored: bool,
 }
 
 impl Drop for Comparison {
@@ -164,98 +135,10 @@ impl Drop for Comparison {
         if std::thread::panicking() {
             return;
         }
-        self.recycle();
         let mut spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner);
         if spare.len() < MAX_SPARE {
             spare.push(std::mem::take(&mut self.memory));
         }
-    }
-}
-
-/// Sums of weighted derivatives, by which the scatter of the residuals is judged.
-struct Scores {
-    /// Rows times residuals, summed over each cell.
-    cells: Vec<Row>,
-    slips: Slips,
-    rows: RowShift,
-    /// Information about the band's position, and by cell and channel the same times the weights.
-    said: f64,
-    coded: Vec<[f32; 3]>,
-    /// Of each span.
-    widths: Vec<Sum>,
-    /// Derivatives of chroma alone, where a channel has more.
-    chroma: Option<Box<Rows>>,
-}
-
-impl Scores {
-    /// Still without any, in memory that is not needed any more.
-    fn new(patch: &Patch, scene: &Scene<'_>, mut cells: Vec<Row>, mut coded: Vec<[f32; 3]>) -> Self {
-        cells.clear();
-        cells.resize(patch.cells.len(), [0.0; ROW]);
-        coded.clear();
-        coded.resize(patch.cells.len(), [0.0; 3]);
-        let slips = Slips::new(scene.layout, patch.spans.len());
-        let widths = vec![Sum::default(); patch.spans.len()];
-        Self { cells, slips, rows: RowShift::default(), said: 0.0, coded, widths, chroma: None }
-    }
-
-    fn add(&mut self, part: &Part<'_>) {
-        self.said += add_to_cells(&mut self.cells, &mut self.coded, part);
-        add_to_width(&mut self.widths[part.span], part);
-        if !part.apart {
-            add_to_rows(&mut self.rows, part);
-        }
-        if let Some(chroma) = &part.channel.chroma {
-            let slipping = match *chroma == part.channel.weights {
-                true => part.rows,
-                false => self.chroma.get_or_insert_default().of(part.chunk, part.piece, part.light, chroma),
-            };
-            add_to_slips(&mut self.slips, part, slipping);
-        }
-    }
-}
-
-/// Some points of a strip, and what the model says of one of their channels.
-pub(crate) struct Part<'a> {
-    pub span: usize,
-    /// The ring nearest to them.
-    ring: usize,
-    points: Range<usize>,
-    pub seen: Seen,
-    /// The points, and the piece of tube that they are compared with.
-    pub chunk: &'a Chunk,
-    pub piece: &'a Piece,
-    pub light: &'a Light<'a>,
-    /// The stored channel, and whether it is stored apart from the pixels.
-    pub channel: &'a Channel,
-    apart: bool,
-    /// Unit vectors across the tube and along it.
-    pub axes: [Vector2<f64>; 2],
-    cells: &'a [u32],
-    /// Rows of the picture, from that of the patch's centre.
-    y: &'a [f32],
-    middle_y: f32,
-    compared: &'a Compared,
-    /// Derivatives, padded to whole batches.
-    pub rows: &'a [Row],
-}
-
-impl Part<'_> {
-    /// Residuals and weights, padded with weights of zero.
-    fn padded(&self) -> [[f32; CHUNK]; 2] {
-        let mut padded = [[0.0; CHUNK]; 2];
-        for (to, from) in padded.iter_mut().zip([&self.compared.residuals, &self.compared.weights]) {
-            to[..self.points.len()].copy_from_slice(&from[self.points.clone()]);
-        }
-        padded
-    }
-
-    /// Each point's row, residual, weight and cell.
-    pub(crate) fn samples(&self) -> impl Iterator<Item = (&Row, f32, f32, u32)> {
-        let Compared { residuals, weights, .. } = self.compared;
-        let here = self.points.clone();
-        let values = residuals[here.clone()].iter().zip(&weights[here.clone()]).zip(&self.cells[here]);
-        self.rows.iter().zip(values).map(|(row, ((residual, weight), cell))| (row, *residual, *weight, *cell))
     }
 }
 
@@ -272,7 +155,7 @@ impl Comparison {
         margin_px: f64,
     ) -> Result<Self, NoFit> {
         let spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let mut comparison = Self { memory: spare.unwrap_or_default(), scores: None };
+        let mut comparison = Self { memory: spare.unwrap_or_default(), scored: false };
         comparison.memory.patch.select(picture, model, shown, density, margin_px)?;
         comparison.memory.prepare();
         Ok(comparison)
@@ -281,13 +164,6 @@ impl Comparison {
     /// What is compared.
     pub(crate) fn patch(&self) -> &Patch {
         &self.memory.patch
-    }
-
-    /// Takes back the memory of scores that are not needed any more.
-    fn recycle(&mut self) {
-        if let Some(Scores { cells, coded, .. }) = self.scores.take() {
-            (self.memory.cells, self.memory.coded) = (cells, coded);
-        }
     }
 
     /// Evaluates the model at all pixels, and compares it with all samples.
@@ -413,7 +289,7 @@ impl Comparison {
     /// Normal equations of the model as it was rendered.
     pub(crate) fn normal(&mut self, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
-        self.recycle();
+        self.scored = false;
         self.derive(scene, |sums, part| {
             let [residuals, weights] = part.padded();
             let (count, rows) = (part.rows.len(), part.rows);
@@ -426,68 +302,39 @@ impl Comparison {
     /// The equations of `before` with the gradient of the model as it was rendered.
     pub(crate) fn gradient(&mut self, before: &Normal, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
-        let scores = self.scores(scene);
-        let Patch { spans, cells, .. } = &self.memory.patch;
+        self.score(scene);
+        let Memory { patch: Patch { spans, cells, .. }, scores, .. } = &self.memory;
         let mut sums = vec![[0.0; ROW]; spans.len()];
         for ((span, _), cell) in cells.iter().zip(&scores.cells) {
             sums[*span].iter_mut().zip(cell).for_each(|(sum, value)| *sum += value);
         }
         let equations = before.with_gradient(spans.iter().zip(&sums), scene.image, scene.layout);
-        // Most are the last of their fit.
-        self.scores = Some(scores);
         Normal { cost, squares, ..equations }
     }
 
-    /// What the scatter of the residuals is judged by, of the model as it was rendered.
-    fn scores(&mut self, scene: &Scene<'_>) -> Scores {
-        self.recycle();
-        let (cells, coded) = (std::mem::take(&mut self.memory.cells), std::mem::take(&mut self.memory.coded));
-        let mut scores = Scores::new(&self.memory.patch, scene, cells, coded);
+    /// Sums what the scatter of the residuals is judged by, of the model as it was rendered.
+    fn score(&mut self, scene: &Scene<'_>) {
+        let mut scores = std::mem::take(&mut self.memory.scores);
+        scores.clear(&self.memory.patch, scene);
         self.derive(scene, |_, part| scores.add(part));
-        scores
+        self.memory.scores = scores;
+        self.scored = true;
     }
 
-    /// Empirical covariance of J'Wr: products of the sums over cells, which keeps the correlation between neighbouring
-    /// samples and channels (a cluster-robust "sandwich"; White 1980, doi:10.2307/1912934, Liang and Zeger 1986,
-    /// doi:10.1093/biomet/73.1.13). `of_shape` and `of_colours` map parameters to shape; `coder_variances` are those of
-    /// the stored channels at a pixel.
+    /// Scatter of the residuals ([`Scores::scatter`]). Most gradients are the last of their fit, and have the sums.
     pub(crate) fn scatter(
         &mut self,
         scene: &Scene<'_>,
-        of_shape: &SMatrix<f64, SHAPE, SHAPE>,
-        of_colours: &ShapeBy,
+        plain: &SMatrix<f64, SHAPE, SHAPE>,
         view: &Eliminated,
         coder_variances: impl Fn([u32; 2]) -> [f64; 3],
     ) -> Scattered {
-        let known = self.scores.take();
-        let Scores { cells, mut slips, rows, said, coded, widths: width_sums, .. } =
-            known.unwrap_or_else(|| self.scores(scene));
-        let Memory { patch, squares, variances, .. } = &mut self.memory;
-        let Patch { spans, cells: places, squares: pixels, .. } = &*patch;
-        let Scene { image, layout, .. } = *scene;
-        squares.clear();
-        squares.resize(pixels.len(), [0.0; PADDED]);
-        let mut sums = cells.iter();
-        for places in places.chunk_by(|a, b| a.0 == b.0) {
-            let span = places[0].0;
-            let map = influence(image, &spans[span], layout, of_shape, of_colours);
-            for ((_, square), sum) in places.iter().zip(&mut sums) {
-                add_mapped(&mut squares[*square], sum, &map);
-            }
-            slips.map(span, &map);
+        if !self.scored {
+            self.score(scene);
         }
-        slips.finish(image, layout);
-        let covariance = unpadded_square(&products(squares));
-        variances.clear();
-        variances.extend(pixels.iter().map(|pixel| coder_variances(*pixel)));
-        let of_cell = |((_, square), coded): (&(usize, usize), &[f32; 3])| -> f64 {
-            coded.iter().zip(variances[*square]).map(|(coded, variance)| f64::from(*coded) * variance).sum()
-        };
-        let coded_sum: f64 = places.iter().zip(&coded).map(of_cell).sum();
-        let widths = widths(spans, &width_sums, layout, view);
-        (self.memory.cells, self.memory.coded) = (cells, coded);
-        let coded = if said > 0.0 { coded_sum / said } else { 0.0 };
-        Scattered { covariance, slips, rows, coded, widths }
+        self.scored = false;
+        let Memory { patch, scores, .. } = &mut self.memory;
+        scores.scatter(patch, scene, plain, view, coder_variances)
     }
 
     /// Differences between the residuals of neighbouring pixels in a row of the background, in the first channel.
@@ -511,71 +358,6 @@ fn zero_where_interpolated(layer: &Layer, channel: &Channel, values: &mut [f32])
     for (value, seen) in values.iter_mut().zip(&layer.seen) {
         if *seen != channel.number {
             *value = 0.0;
-        }
-    }
-}
-
-/// Adds rows times residuals to their cells, and the information about the band's position times the weights; returns
-/// that information.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add_to_cells(cells: &mut [Row], coded: &mut [[f32; 3]], part: &Part<'_>) -> f64 {
-    let mut said = 0.0;
-    for (row, residual, weight, cell) in part.samples() {
-        let [across, along] = shifted(row, part.seen);
-        let says = weight * (across * across + along * along);
-        said += f64::from(says);
-        coded[cell as usize][usize::from(part.channel.number)] += says * weight;
-        add_row(&mut cells[cell as usize], row, part.seen, weight * residual);
-    }
-    said
-}
-
-/// Adds samples of pixels to the shift of even rows against odd ones.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add_to_rows(rows: &mut RowShift, part: &Part<'_>) {
-    let (mut pull, mut information) = (0.0, 0.0);
-    for ((row, residual, weight, _), y) in part.samples().zip(&part.y[part.points.clone()]) {
-        let [across, _] = shifted(row, part.seen);
-        let is_odd = (y + part.middle_y).round() as i32 & 1;
-        let weighed = weight * across;
-        pull += if is_odd == 0 { weighed * residual } else { -weighed * residual };
-        information += weighed * across;
-    }
-    rows.add(pull, information);
-}
-
-/// Adds samples to what their span shows of the tube's width.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add_to_width(sum: &mut Sum, part: &Part<'_>) {
-    if part.seen == Seen::Nothing {
-        return;
-    }
-    let (mut information, mut pull) = (0.0, 0.0);
-    for ((row, residual, weight, _), x) in part.samples().zip(part.chunk.across(part.piece)) {
-        let by = shifted(row, part.seen)[0] * x;
-        let weighed = weight * by;
-        information += weighed * by;
-        pull += weighed * residual;
-        add_row(&mut sum.rows, row, part.seen, weighed);
-    }
-    sum.information += f64::from(information);
-    sum.pull += f64::from(pull);
-}
-
-/// Adds samples to the slips of chroma that they show, with the derivatives of their chroma alone.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add_to_slips(slips: &mut Slips, part: &Part<'_>, slipping: &[Row]) {
-    for ((row, residual, weight, _), slipping) in part.samples().zip(slipping) {
-        slips.add((part.span, part.ring), (row, slipping, part.seen), residual, weight);
-    }
-}
-
-/// Adds a sum of rows, mapped to the shape.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add_mapped(square: &mut Padded, sum: &Row, map: &[Padded; ROW]) {
-    for (by, column) in sum.iter().zip(map) {
-        for (sum, value) in square.iter_mut().zip(column) {
-            *sum += f64::from(*by) * value;
         }
     }
 }

@@ -5,13 +5,13 @@
 
 use crate::track::apart::{Apart, ColourSums};
 use crate::track::chunk::Scene;
-use crate::track::compare::Scattered;
 use crate::track::equations::Eliminated;
 use crate::track::fit::{Look, TubeFit, ViewFit};
 use crate::track::image_model::{AT_REST, ModelError, coder_variance, may_be_coded};
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
 use crate::track::round::{Guess, Minimum, Round, shape_prior};
+use crate::track::scores::Scattered;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, ShapeStep};
 use crate::track::tube_image::TubeImage;
@@ -34,13 +34,12 @@ impl Round<'_> {
         let Guess { images, colours, turns, .. } = &state.guess;
         let compared = views.par_iter_mut().zip(blurs_px).zip(images).zip(colours).zip(&seen);
         let scatter = compared.map(|((((view, blur_px), image), colours), eliminated)| {
-            let of_colours = -plain * eliminated.following();
             let coder_variances = |pixel| {
                 let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
                 steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
             };
             let scene = Scene::new(image, turns, colours, stretch, &model.encoding, *blur_px);
-            let scattered = view.comparison.scatter(&scene, &plain, &of_colours, eliminated, coder_variances);
+            let scattered = view.comparison.scatter(&scene, &plain, eliminated, coder_variances);
             let apart = looks_apart.then(|| ColourSums::of(&mut view.comparison, &scene));
             let spans = &view.comparison.patch().spans;
             let apart = apart.and_then(|sums| sums.eliminated(spans, image, &stretch.layout, eliminated));

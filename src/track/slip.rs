@@ -27,6 +27,7 @@ use crate::track::tube_image::TubeImage;
 use nalgebra::{Matrix2, SMatrix, Vector2};
 
 /// The slips of one view's bands.
+#[derive(Default)]
 pub(crate) struct Slips {
     bands: Vec<[Slip; 2]>,
     /// For each span, sums not mapped yet: the band, and the rows in both directions.

@@ -208,13 +208,15 @@ fn a_source_that_falls_silent_is_told_of() {
     assert_eq!(studio.ended(), Some(0));
 }
 
+#[cfg(unix)]
 #[test]
 fn two_pages_in_a_browser_watch_and_record_and_no_row_is_lost() {
     let _alone = alone();
     let Some((browser, python)) = crate::support::browser::browser_and_python() else { return };
     let place = Place::new();
     let long = place.path("long.mkv");
-    looped(&sample("planar.mkv"), 6, &long);
+    // Longer than pages take to open on a machine that is busy.
+    looped(&sample("planar.mkv"), 24, &long);
     // The browser is there before the run begins: it takes its time on a busy machine.
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/studio_watch.py");
     let mut watcher = Command::new(python)
@@ -236,11 +238,11 @@ fn two_pages_in_a_browser_watch_and_record_and_no_row_is_lost() {
     let output = watcher.wait_with_output().unwrap();
     println!("{}", stdout(&output));
     ended_with(&output, 0);
-    assert_eq!(studio.ended(), Some(0));
-    assert_eq!(place.table().rows.len(), frames_of(&long), "a row for every frame");
+    assert_eq!(studio.interrupted(), Some(130));
+    let rows = place.table().rows;
+    assert!(rows.len() > 180, "{} rows", rows.len());
+    for (seq, row) in rows.iter().enumerate() {
+        assert_eq!((row["seq"].as_str(), row["gap"].as_str()), (&*seq.to_string(), "0"), "a row for every frame");
+    }
     assert!(!logged(&place.path("out/log.mcap")).is_empty());
-}
-
-fn frames_of(recording: &Path) -> usize {
-    pictures(recording).len()
 }

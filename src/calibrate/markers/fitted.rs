@@ -38,7 +38,7 @@ const BLUR_STEP_PX: f64 = 0.1;
 const CHROMA_STEP_PX: f64 = 0.3;
 const CHROMA_LIMITS_PX: (f64, f64) = (-1.5, 1.5);
 const CHROMA_REACH_STEP: f64 = 0.2;
-const CHROMA_REACHES: (f64, f64) = (0.5, 1.0);
+const CHROMA_REACH_LIMITS: (f64, f64) = (0.5, 1.0);
 /// Where the search for gamma begins, its step, and its limits; it counts from a mean ln σ² of the residuals that is
 /// smaller by this much, and by this many σ of the difference.
 const FIRST_GAMMA: f64 = 0.5;
@@ -215,15 +215,16 @@ pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> 
 /// Blur, chroma offset, gamma and, unless it is stated, exposure; returns σ of each view's blur, pixels. A wrong gamma
 /// and motion both look like blur: once they are known, blur is fitted again.
 pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
-    sharpen(rig, frames, followers);
+    let reach = chroma_is_as_sampled(rig, frames);
+    sharpen(rig, frames, followers, reach);
     rig.camera.gamma = gamma(rig, frames, followers);
     if rig.camera.gamma.is_some() {
-        sharpen(rig, frames, followers);
+        sharpen(rig, frames, followers, reach);
     }
     if rig.camera.exposure_s.is_none() {
         rig.camera.exposure_s = exposure_s(rig, frames, followers)?;
         if rig.camera.exposure_s.is_some() {
-            sharpen(rig, frames, followers);
+            sharpen(rig, frames, followers, reach);
         }
     }
     // Last: motion that is not modelled blurs views differently.
@@ -255,15 +256,20 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
     clearly.then(|| (gamma * 1e3).round() / 1e3)
 }
 
-/// Blur, common to all views; where the samples of chroma are, and how far they reach.
-fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
+/// Whether samples of chroma show how far they reached: a coder that predicts pictures has smoothed chroma more than
+/// whatever sampled it, and so have copies of its pictures.
+fn chroma_is_as_sampled(rig: &Rig, frames: &[Frame]) -> bool {
+    let some = every(frames, TUNING_FRAMES);
+    let Some(picture) = some.first().map(|frame| &frame.picture) else { return false };
+    let has_noise = || Tracker::new(rig, TrackOptions::default()).is_ok_and(|mut t| t.have_sensor_noise(&some));
+    picture.format().is_subsampled() && picture.quantisation().map_or_else(has_noise, |q| !q.predicted)
+}
+
+/// Blur, common to all views; where the samples of chroma are and, if asked for, how far they reach.
+fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame], reach: bool) {
     let some = every(frames, TUNING_FRAMES);
     let pictures_are = |are: fn(&Picture) -> bool| some.first().is_some_and(|frame| are(&frame.picture));
     let subsampled = pictures_are(|picture| picture.format().is_subsampled());
-    // A coder that predicts pictures has smoothed chroma more than whatever sampled it; so have copies of its pictures.
-    let predicted = some.first().and_then(|frame| frame.picture.quantisation()).map(|q| q.predicted);
-    let has_noise = || Tracker::new(rig, TrackOptions::default()).is_ok_and(|mut t| t.have_sensor_noise(&some));
-    let as_sampled = subsampled && predicted.map_or_else(has_noise, |predicted| !predicted);
     rig.camera.blur_px.get_or_insert(FIRST_BLUR_PX);
     // They hardly depend on each other, but for blur and reach: a second pass only polishes.
     for finer in [1.0, 0.5] {
@@ -284,8 +290,8 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
             if subsampled {
                 fit(rig, CHROMA_STEP_PX, CHROMA_LIMITS_PX, &|camera| &mut camera.chroma_offset_px[axis]);
             }
-            if as_sampled {
-                fit(rig, CHROMA_REACH_STEP, CHROMA_REACHES, &|camera| &mut camera.chroma_reach[axis]);
+            if reach {
+                fit(rig, CHROMA_REACH_STEP, CHROMA_REACH_LIMITS, &|camera| &mut camera.chroma_reach[axis]);
             }
         }
         // Where each pixel has its own chroma, misfits of two offsets may be those of different channels.
