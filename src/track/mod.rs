@@ -8,6 +8,7 @@ mod assign;
 mod assign_tests;
 mod blending;
 mod by_band;
+mod carried;
 mod channel;
 mod chunk;
 mod coil;

@@ -26,7 +26,9 @@ const TOGETHER: usize = 90;
 /// So many positions in a row may have the same error, where a coder leaves a band as it was.
 const ALIKE: f64 = 15.0;
 /// Prior σ of how far the band moves when the coil turns, metres per radian: a fiftieth of a tube's length.
-const BENT_M: f64 = 2e-3;
+pub(super) const BENT_M: f64 = 2e-3;
+/// The same of a band beside the clamp: an evenly bent tube of 85 mm moves a band 7 mm from its end by so much.
+const BENT_BESIDE_CLAMP_M: f64 = 0.3e-3;
 /// Square of the distance over the covariance of a single position beyond which the band has moved. Measured where
 /// nothing moved, from a line through all earlier positions: up to 0.6 in lossless recordings, up to 7 in coded ones.
 const MIN_CHI2: f64 = 12.0;
@@ -37,7 +39,7 @@ const BACK_CHI2: f64 = 1.0;
 #[derive(Debug, Default)]
 pub(crate) struct Moved {
     /// The first, from which all others are counted.
-    origin: Option<(Vector3<f64>, Vector3<f64>)>,
+    origin: Option<Origin>,
     /// The first frames, those that are added now, and all.
     first: Sums,
     now: Sums,
@@ -50,6 +52,14 @@ pub(crate) struct Moved {
     /// Whether it is off the line.
     is_off: bool,
     seen: bool,
+}
+
+/// The first position, and the direction of the coil.
+#[derive(Debug, Clone, Copy)]
+struct Origin {
+    position: Vector3<f64>,
+    covariance: Matrix3<f64>,
+    direction: Vector3<f64>,
 }
 
 /// One position, and the direction of the coil, if it was seen, both from the first.
@@ -86,9 +96,9 @@ impl Bends {
     }
 
     /// How far positions move when directions turn (its transpose, applied to a turn, gives a way), and how uncertain
-    /// that is for each coordinate, with weights that are one over variances, m²; the prior is in both.
-    pub(super) fn slope(&self) -> Option<(Matrix3<f64>, Matrix3<f64>)> {
-        let uncertain = (self.squares + Matrix3::from_diagonal_element(BENT_M.powi(-2))).cholesky()?.inverse();
+    /// that is for each coordinate, with weights that are one over variances, m²; a prior of this σ is in both.
+    pub(super) fn slope(&self, prior_m: f64) -> Option<(Matrix3<f64>, Matrix3<f64>)> {
+        let uncertain = (self.squares + Matrix3::from_diagonal_element(prior_m.powi(-2))).cholesky()?.inverse();
         Some((uncertain * self.products, uncertain))
     }
 }
@@ -137,10 +147,12 @@ impl Moved {
 
     /// Adds a position of the base band, with the direction of the coil, if it was seen.
     pub(crate) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
-        let Some((place, turn)) = self.origin.or_else(|| Some((base.point.coords, *direction?))) else { return };
-        self.origin = Some((place, turn));
-        let (direction, position) = (direction.map(|direction| direction - turn), base.point.coords - place);
-        self.latest.push_back(Sample { ns: stamp.ns, direction, position, covariance: base.covariance });
+        let Position { point, covariance, .. } = *base;
+        let first = || Some(Origin { position: point.coords, covariance, direction: *direction? });
+        let Some(origin) = self.origin.or_else(first) else { return };
+        self.origin = Some(origin);
+        let (direction, position) = (direction.map(|to| to - origin.direction), point.coords - origin.position);
+        self.latest.push_back(Sample { ns: stamp.ns, direction, position, covariance });
         // (A clock that is set back ends the mean, too.)
         let is_long = |latest: &VecDeque<Sample>| {
             latest.len() > LATEST && latest.get(1).is_some_and(|next| !(0..LATEST_NS).contains(&(stamp.ns - next.ns)))
@@ -174,6 +186,19 @@ impl Moved {
         off * off.transpose()
     }
 
+    /// How the band moves when the coil turns, and how uncertain that is ([`Bends::slope`]).
+    fn slope(&self, prior_m: f64) -> Option<(Matrix3<f64>, Matrix3<f64>)> {
+        (self.first.scatter() + self.bends + self.now.scatter()).slope(prior_m)
+    }
+
+    /// How far the last position is from the first, less what the tube bent it as far as that is known, metres, with the
+    /// covariance of both; `None` where the coil was not seen.
+    pub(crate) fn since_first(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let Sample { direction, position, covariance, .. } = self.latest.back()?;
+        let (slope, _) = self.slope(BENT_BESIDE_CLAMP_M)?;
+        Some((position - slope.tr_mul(direction.as_ref()?), covariance + self.origin?.covariance))
+    }
+
     /// How far the latest positions are from the line, metres, and the square of that over its covariance; `None` with
     /// too few positions.
     fn off(&self) -> Option<(Vector3<f64>, f64)> {
@@ -181,8 +206,7 @@ impl Moved {
             return None;
         }
         let count = self.latest.len() as f64;
-        let known = self.first.scatter() + self.bends + self.now.scatter();
-        let (slope, uncertain) = known.slope()?;
+        let (slope, uncertain) = self.slope(BENT_M)?;
         let usual = self.all.direction / self.all.weight;
         let sum = self.latest.iter().map(|sample| sample.direction.unwrap_or(usual)).sum::<Vector3<f64>>();
         let turned = sum / count - self.first.direction / self.first.weight;
@@ -248,6 +272,28 @@ mod tests {
 
     fn swing(k: usize) -> f64 {
         0.5 * (0.1 * k as f64).sin()
+    }
+
+    #[test]
+    fn what_left_its_first_place_is_off_it_and_what_bends_with_the_tube_is_not() {
+        let last = |at: &dyn Fn(usize) -> Vector3<f64>| {
+            let mut moved = Moved::default();
+            for k in 0..200 {
+                let (sin, cos) = swing(k).sin_cos();
+                moved.add(stamp(k), &base(Point3::from(at(k))), Some(&Vector3::new(sin, cos, 0.0)));
+            }
+            moved.since_first().unwrap()
+        };
+        let (off, covariance) = last(&|k| if k == 0 { Vector3::zeros() } else { Vector3::y() * 4e-4 });
+        assert!((off - Vector3::y() * 4e-4).norm() < 1e-5, "{off}");
+        assert!((covariance[(0, 0)] - 2.0 * SD_M * SD_M).abs() < 1e-15);
+        let (off, _) = last(&|k| Vector3::x() * 2e-4 * swing(k));
+        assert!(off.norm() < 3e-5, "{off} of {}", 2e-4 * swing(199));
+        // The coil is hidden: what the tube bends is not known.
+        let mut moved = Moved::default();
+        moved.add(stamp(0), &base(Point3::origin()), Some(&Vector3::y()));
+        moved.add(stamp(1), &base(Point3::origin()), None);
+        assert!(moved.since_first().is_none());
     }
 
     #[test]

@@ -13,7 +13,7 @@
 
 use crate::estimate::Position;
 use crate::source::Timestamp;
-use crate::track::moved::Bends;
+use crate::track::moved::{BENT_M, Bends};
 use nalgebra::{Matrix3, SymmetricEigen, U3, Vector3};
 use std::collections::VecDeque;
 
@@ -172,7 +172,7 @@ impl<'a> Course<'a> {
         for [position, turn] in recent.iter().map(off) {
             bends.add(&turn, &position, 3.0 / self.expected.trace());
         }
-        let (slope, uncertain) = bends.slope()?;
+        let (slope, uncertain) = bends.slope(BENT_M)?;
         let freedom = self.freedom - (uncertain * bends.squares).trace();
         let rest = recent.iter().map(off).map(|[position, turn]| position - slope.tr_mul(&turn));
         Scatter::of(rest, freedom, &self.expected)

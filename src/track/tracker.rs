@@ -6,6 +6,7 @@ use crate::segment::SegmentError;
 use crate::source::{Frame, Picture, PixelFormat, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::blending::Blending;
+use crate::track::carried;
 use crate::track::coil::deflection;
 use crate::track::diameter::Diameter;
 use crate::track::fields::Fields;
@@ -37,7 +38,7 @@ use crate::track::warnings::{
     BLENDED, COLOURS_LAG, FRINGES, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, UNLIKE_TAUGHT,
     VIEWS_DISAGREE, WOVEN,
 };
-use nalgebra::Vector2;
+use nalgebra::{Matrix3, Vector2};
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
 /// models are compared, more of it tells what is noise.
@@ -245,7 +246,7 @@ impl Tracker {
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         // Before σ is widened: pictures that repeat scatter.
         self.repeats.remember(picture, found.windows(), &estimate);
-        self.widen(&mut estimate);
+        self.widen(&mut estimate, picture.quantisation().is_some_and(|q| q.predicted));
         if let Some(rolling) = &mut self.rolling {
             rolling.correct(&self.rig, &mut estimate);
         }
@@ -494,23 +495,28 @@ impl Tracker {
     }
 
     /// Widens covariances to match the scatter of positions and tangent from frame to frame, and how late they are in
-    /// blended pictures; and those of positions by the shake of the base band. Only a rig with a base frame says that
-    /// this band, the first, rests.
-    fn widen(&mut self, estimate: &mut Estimate) {
+    /// blended pictures; those of positions by the shake of the base band, and its own by how far a coder that predicts
+    /// carried it. Only a rig with a base frame says that this band, the first, rests.
+    fn widen(&mut self, estimate: &mut Estimate, predicted: bool) {
         let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
         let base = estimate.markers.first().map(|base| &base.position);
+        let mut carried = Matrix3::zeros();
         if let (Some(Ok(base)), Some(_)) = (base, &self.rig.base) {
             let direction = estimate.tangent.as_ref().ok().map(|tangent| &tangent.direction);
             self.shake.add(stamp, base, direction);
             self.moved.add(stamp, base, direction);
+            if let Some((off, covariance)) = self.moved.since_first().filter(|_| predicted) {
+                carried = carried::covariance(&off, &covariance);
+            }
         }
         // A knock is both for half a second.
         let (shake, moved) = (self.shake.at(stamp), self.moved.covariance());
         let astray = if shake.trace() > moved.trace() { shake } else { moved };
-        for (marker, scatter) in estimate.markers.iter_mut().zip(&mut self.scatter) {
+        let of_base = if carried.trace() > astray.trace() { carried } else { astray };
+        for (m, (marker, scatter)) in estimate.markers.iter_mut().zip(&mut self.scatter).enumerate() {
             if let Ok(position) = &mut marker.position {
                 position.covariance *= scatter.add(stamp, position.point.coords, &position.covariance, persisting);
-                position.covariance += astray;
+                position.covariance += if m == 0 { of_base } else { astray };
             }
         }
         if let (Ok(tangent), Some(scatter)) = (&mut estimate.tangent, self.scatter.last_mut()) {
