@@ -191,8 +191,8 @@ impl Moved {
         (self.first.scatter() + self.bends + self.now.scatter()).slope(prior_m)
     }
 
-    /// How far the last position is from the first, less what the tube bent it as far as that is known, metres, with the
-    /// covariance of both; `None` where the coil was not seen.
+    /// How far the last position is from the first, less what the tube bent it as far as that is known, metres, with
+    /// the covariance of both; `None` where the coil was not seen.
     pub(crate) fn since_first(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let Sample { direction, position, covariance, .. } = self.latest.back()?;
         let (slope, _) = self.slope(BENT_BESIDE_CLAMP_M)?;

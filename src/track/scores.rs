@@ -73,8 +73,8 @@ impl Scores {
 
     /// Empirical covariance of J'Wr: products of the sums over cells, which keeps the correlation between neighbouring
     /// samples and channels (a cluster-robust "sandwich"; White 1980, doi:10.2307/1912934, Liang and Zeger 1986,
-    /// doi:10.1093/biomet/73.1.13). `plain` is the covariance of the shape if noise were independent, `view` the equations
-    /// of this view; `coder_variances` are those of the stored channels at a pixel.
+    /// doi:10.1093/biomet/73.1.13). `plain` is the covariance of the shape if noise were independent, `view` are the
+    /// equations of this view, `coder_variances` those of the stored channels at a pixel.
     pub(crate) fn scatter(
         &mut self,
         patch: &Patch,
