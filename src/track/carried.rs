@@ -13,10 +13,10 @@ use nalgebra::{Matrix3, Vector3};
 /// Expected square of a distance in three dimensions over its covariance.
 const CHANCE: f64 = 3.0;
 
-/// The covariance of what a band was carried, m², that lies `off` its first place with this covariance; zero where
-/// chance explains it.
-pub(crate) fn covariance(off: &Vector3<f64>, covariance: &Matrix3<f64>) -> Matrix3<f64> {
-    let chi2 = covariance.cholesky().map_or(0.0, |factor| off.dot(&factor.solve(off)));
+/// The covariance of how far a band was carried, m², if it lies `off` its first place and both places have the
+/// covariance `known` between them; zero where chance explains it.
+pub(crate) fn covariance(off: &Vector3<f64>, known: &Matrix3<f64>) -> Matrix3<f64> {
+    let chi2 = known.cholesky().map_or(0.0, |factor| off.dot(&factor.solve(off)));
     if chi2 > CHANCE { off * off.transpose() * (1.0 - CHANCE / chi2) } else { Matrix3::zeros() }
 }
 

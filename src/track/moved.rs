@@ -7,6 +7,7 @@
 //! latest positions is compared with this line. Both have the same errors of rig and image model. By how much it is off
 //! is the error of all positions, if the rig still is where it was at first, and belongs into their covariance; the
 //! slope stays as it is as long as it is off. While the coil is not seen, its direction is any of those before.
+//! The same sums tell how far a single position is from the first, less what the tube bends it (carried.rs).
 //!
 //! Cannot tell: moves before the run or that the base band does not see (the tally's drift alarms see some of them);
 //! which of both moments the rig is right for; all of a move among the first frames; anything before the coil was seen

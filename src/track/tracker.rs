@@ -505,7 +505,7 @@ impl Tracker {
             let direction = estimate.tangent.as_ref().ok().map(|tangent| &tangent.direction);
             self.shake.add(stamp, base, direction);
             self.moved.add(stamp, base, direction);
-            if let Some((off, covariance)) = self.moved.since_first().filter(|_| predicted) {
+            if predicted && let Some((off, covariance)) = self.moved.since_first() {
                 carried = carried::covariance(&off, &covariance);
             }
         }
