@@ -35,7 +35,7 @@ impl Round<'_> {
         let compared = views.par_iter_mut().zip(blurs_px).zip(images).zip(colours).zip(&seen);
         let scatter = compared.map(|((((view, blur_px), image), colours), eliminated)| {
             let coder_variances = |pixel| {
-                let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
+                let steps = model.quantisation(picture).and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
                 steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
             };
             let scene = Scene::new(image, turns, colours, stretch, &model.encoding, *blur_px);
@@ -49,7 +49,7 @@ impl Round<'_> {
         let covariance_of_residuals = scatter.iter().fold(of_priors, |sum, scattered| sum + scattered.covariance);
         let mut covariance = covariance_of_residuals;
         let mut slip_covariance = SMatrix::zeros();
-        let predicted = picture.quantisation().is_some_and(|q| q.predicted);
+        let predicted = model.is_predicted(picture);
         for (scattered, view) in scatter.iter().zip(&seen) {
             let coded = plain * (view.shape * scattered.coded) * plain;
             let coded = if rests && predicted { at_rest(&coded, &state.guess.shape.tangent()) } else { coded };

@@ -31,8 +31,14 @@ pub(crate) struct Found {
 impl Found {
     /// Around each band that was found, in each view.
     pub(crate) fn windows(&self) -> Vec<Window> {
-        let blobs = self.assigned.iter().flatten().flat_map(|assigned| assigned.blobs.iter().flatten());
-        blobs.map(|blob| self.blobs[*blob].bounds).collect()
+        (0..self.assigned.len()).flat_map(|marker| self.windows_of(marker)).collect()
+    }
+
+    /// Around one marker's band, if it was found, in each view that shows it.
+    pub(crate) fn windows_of(&self, marker: usize) -> impl Iterator<Item = Window> {
+        let blobs =
+            self.assigned.get(marker).into_iter().flatten().flat_map(|assigned| assigned.blobs.iter().flatten());
+        blobs.map(|blob| self.blobs[*blob].bounds)
     }
 
     /// Whether all markers are there.

@@ -253,7 +253,14 @@ mod tests {
         let error =
             ModelError { across_px: 0.0, along_px: 0.0, turn_px: 0.0, along_at_clamp_px: 0.0, ..ModelError::FULL };
         let encoding = Encoding::new(TRANSFER);
-        ImageModel { encoding, chroma_offset_px: [0.0; 2], chroma_reach: [1.0; 2], mosaic: None, error }
+        ImageModel {
+            encoding,
+            chroma_offset_px: [0.0; 2],
+            chroma_reach: [1.0; 2],
+            mosaic: None,
+            error,
+            first_coded: None,
+        }
     }
 
     fn stretch() -> Stretch {

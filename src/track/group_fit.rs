@@ -300,6 +300,7 @@ mod tests {
             chroma_reach: rig.camera.chroma_reach,
             mosaic: None,
             error: ModelError::CODED,
+            first_coded: None,
         };
         let frame = Frame {
             seq: 0,

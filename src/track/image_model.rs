@@ -1,6 +1,6 @@
 //! Parameters of the image model, and its errors. The blur of each view is beside it, because it may change (focus.rs).
 
-use crate::source::Picture;
+use crate::source::{Picture, Quantisation};
 use crate::track::light::Encoding;
 use crate::track::mosaic::Mosaic;
 
@@ -16,6 +16,21 @@ pub(crate) struct ImageModel {
     pub mosaic: Option<Mosaic>,
     /// At the blur at which it was measured.
     pub error: ModelError,
+    /// Assumed of the video that the pictures are a copy of, if they are (copied.rs).
+    pub first_coded: Option<Quantisation>,
+}
+
+impl ImageModel {
+    /// How coarsely a picture was quantised, by its own coder or by that of the video it is a copy of; `None` when that is
+    /// unknown, and without losses.
+    pub(crate) fn quantisation<'a>(&'a self, picture: &'a Picture) -> Option<&'a Quantisation> {
+        self.first_coded.as_ref().or(picture.quantisation())
+    }
+
+    /// Whether a picture was predicted from others.
+    pub(crate) fn is_predicted(&self, picture: &Picture) -> bool {
+        self.quantisation(picture).is_some_and(|quantisation| quantisation.predicted)
+    }
 }
 
 /// Errors of the image model that no residual shows, pixels: shifts of the band across and along the tube, and turns
@@ -74,13 +89,13 @@ impl ModelError {
         persisting: 0.5,
     };
 
-    /// Those of a picture. `converted` tells that it was made from one with subsampled chroma (pairs.rs), `noisy` that
-    /// it still has the noise of its sensor (grain.rs).
-    pub(crate) fn of(picture: &Picture, converted: bool, noisy: bool) -> Self {
-        match picture.quantisation() {
-            Some(_) => Self::QUANTISED,
-            None if converted || (may_be_coded(picture) && !noisy) => Self::CODED,
-            None => Self::FULL,
+    /// Those of a picture. `quantised` says that its quantisation is known, `converted` that it was made from one with
+    /// subsampled chroma (pairs.rs), `noisy` that it still has the noise of its sensor (grain.rs).
+    pub(crate) fn of(picture: &Picture, quantised: bool, converted: bool, noisy: bool) -> Self {
+        match quantised {
+            true => Self::QUANTISED,
+            false if converted || (may_be_coded(picture) && !noisy) => Self::CODED,
+            false => Self::FULL,
         }
     }
 

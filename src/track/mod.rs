@@ -13,6 +13,7 @@ mod channel;
 mod chunk;
 mod coil;
 mod compare;
+mod copied;
 mod covariance;
 pub(crate) mod curve;
 mod diameter;

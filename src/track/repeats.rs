@@ -151,11 +151,11 @@ impl Band {
 }
 
 impl Repeats {
-    /// Whether a picture shows again what the last one showed, and cannot be of its own time.
-    pub(crate) fn is_repeated(&self, picture: &Picture, stamp: Timestamp) -> bool {
+    /// Whether a picture, `predicted` from others or not, shows again what the last one showed, and cannot be of its
+    /// own time.
+    pub(crate) fn is_repeated(&self, picture: &Picture, stamp: Timestamp, predicted: bool) -> bool {
         let Some(last) = self.last.as_ref().filter(|last| last.moving) else { return false };
         let since_s = stamp.seconds_since(last.stamp);
-        let predicted = picture.quantisation().is_some_and(|quantisation| quantisation.predicted);
         (!predicted || since_s < AT_REST_S) && checksum(picture, &last.windows) == Some(last.checksum)
     }
 
@@ -215,7 +215,7 @@ fn checksum(picture: &Picture, windows: &[Window]) -> Option<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::source::{Clock, Colour, PixelFormat, Quantisation};
+    use crate::source::{Clock, Colour, PixelFormat};
     use crate::testing::fixture;
     use crate::testing::random::Random;
     use nalgebra::{Matrix3, Point3};
@@ -285,16 +285,17 @@ mod tests {
     #[test]
     fn the_same_picture_again_is_repeated_if_the_band_moved() {
         let repeats = after(1e-3);
-        assert!(repeats.is_repeated(&noise(1), stamp(2)) && repeats.is_repeated(&noise(1), stamp(200)));
-        assert!(!repeats.is_repeated(&noise(0), stamp(2)) && !repeats.is_repeated(&noise(2), stamp(2)));
-        assert!(!after(1e-4).is_repeated(&noise(1), stamp(2)), "at rest");
-        assert!(!Repeats::default().is_repeated(&noise(1), stamp(2)));
+        let is_repeated = |repeats: &Repeats, seed, frame| repeats.is_repeated(&noise(seed), stamp(frame), false);
+        assert!(is_repeated(&repeats, 1, 2) && is_repeated(&repeats, 1, 200));
+        assert!(!is_repeated(&repeats, 0, 2) && !is_repeated(&repeats, 2, 2));
+        assert!(!is_repeated(&after(1e-4), 1, 2), "at rest");
+        assert!(!is_repeated(&Repeats::default(), 1, 2));
     }
 
     #[test]
     fn a_coder_repeats_what_has_come_to_rest() {
-        let coded = || noise(1).quantised(Some(Quantisation::assumed([32, 24])));
-        assert!(after(1e-3).is_repeated(&coded(), stamp(2)) && !after(1e-3).is_repeated(&coded(), stamp(30)));
+        let is_repeated = |frame| after(1e-3).is_repeated(&noise(1), stamp(frame), true);
+        assert!(is_repeated(2) && !is_repeated(30));
     }
 
     #[test]
@@ -335,6 +336,6 @@ mod tests {
     #[test]
     fn what_was_not_recorded_is_not_known_to_be_the_same() {
         let elsewhere = noise(1).of_parts(vec![Window { x0: 0, y0: 0, x1: 8, y1: 8 }]);
-        assert!(!after(1e-3).is_repeated(&elsewhere, stamp(2)));
+        assert!(!after(1e-3).is_repeated(&elsewhere, stamp(2), false));
     }
 }

@@ -22,6 +22,9 @@ const ORDER: usize = 6;
 const LONGEST_NS: i64 = 250_000_000;
 /// Half-life of an observation, frames.
 const HALF_LIFE: f64 = 10.0;
+/// Factor of a scatter that σ does not explain by far, and frames with it after which it is no chance.
+const LARGE: f64 = 16.0;
+const FRAMES: u32 = 30;
 /// Prior: the covariance is right, with the weight of this many frames.
 const PRIOR_FRAMES: f64 = 1.0;
 
@@ -31,6 +34,8 @@ pub(crate) struct Scatter {
     recent: VecDeque<(i64, Vector3<f64>, f64)>,
     sum: f64,
     frames: f64,
+    /// Frames in which it was large.
+    large: u32,
 }
 
 impl Scatter {
@@ -53,7 +58,14 @@ impl Scatter {
             (self.sum, self.frames) = (self.sum * fading + ratio, self.frames * fading + 1.0);
         }
         let ratio = (self.sum + PRIOR_FRAMES) / (self.frames + PRIOR_FRAMES);
-        1.0 + (ratio - 1.0).max(0.0) / (1.0 - persisting)
+        let factor = 1.0 + (ratio - 1.0).max(0.0) / (1.0 - persisting);
+        self.large = self.large.saturating_add(u32::from(factor > LARGE));
+        factor
+    }
+
+    /// Whether it was large for a while: the motion is not smooth, or the frames do not show it evenly.
+    pub(crate) fn is_unsteady(&self) -> bool {
+        self.large >= FRAMES
     }
 
     /// Square of the difference over its expectation; `None` with too few frames.
@@ -82,22 +94,23 @@ mod tests {
     use crate::source::Clock;
     use crate::testing::random::Random;
 
-    /// A swing of 40 mm at 2 Hz, measured about every 60th of a second with errors of `sd` that are stated as `said`,
-    /// metres.
-    fn factor(sd: f64, said: f64, persisting: f64) -> f64 {
+    /// A swing of 40 mm at 2 Hz, measured about every 60th of a second with errors of `sd`, metres.
+    fn swing(sd: f64, mut measured: impl FnMut(Timestamp, Vector3<f64>)) {
         let mut dice = Random::new(5);
-        let mut scatter = Scatter::default();
-        let mut factor = 0.0;
         for i in 0..400 {
             let ns = i * 16_666_667 + (dice.normal() * 1e6) as i64;
             let way = 0.04 * (12.6 * ns as f64 * 1e-9).sin();
             let error = Vector3::new(dice.normal(), dice.normal(), dice.normal()) * sd;
-            let covariance = Matrix3::identity() * said.powi(2);
-            let stamp = Timestamp { ns, clock: Clock::Container };
-            let now = scatter.add(stamp, Vector3::new(way, 0.3 * way, -way) + error, &covariance, persisting);
-            factor += now / 400.0;
+            measured(Timestamp { ns, clock: Clock::Container }, Vector3::new(way, 0.3 * way, -way) + error);
         }
-        factor
+    }
+
+    /// The mean factor where errors of `sd` are stated as `said`.
+    fn factor(sd: f64, said: f64, persisting: f64) -> f64 {
+        let (mut scatter, mut sum) = (Scatter::default(), 0.0);
+        let covariance = Matrix3::identity() * said.powi(2);
+        swing(sd, |stamp, value| sum += scatter.add(stamp, value, &covariance, persisting));
+        sum / 400.0
     }
 
     #[test]
@@ -108,5 +121,14 @@ mod tests {
         assert!((6.5..11.0).contains(&three), "{three}");
         assert!((factor(9e-5, 3e-5, 0.5) - (2.0 * three - 1.0)).abs() < 1e-9);
         assert!((factor(1e-5, 3e-5, 0.5) - 1.0).abs() < 1e-12);
+    }
+    #[test]
+    fn only_a_large_scatter_is_unsteady() {
+        let unsteady = |sd: f64| {
+            let mut scatter = Scatter::default();
+            swing(sd, |stamp, value| _ = scatter.add(stamp, value, &(Matrix3::identity() * 3e-5_f64.powi(2)), 0.0));
+            scatter.is_unsteady()
+        };
+        assert!(!unsteady(3e-5) && !unsteady(6e-5) && unsteady(3e-4));
     }
 }

@@ -8,6 +8,7 @@ use crate::track::answer;
 use crate::track::blending::Blending;
 use crate::track::carried;
 use crate::track::coil::deflection;
+use crate::track::copied::Copied;
 use crate::track::diameter::Diameter;
 use crate::track::fields::Fields;
 use crate::track::find::{Finder, Found};
@@ -35,8 +36,8 @@ use crate::track::slip::Seen;
 use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::{ShapeStep, TubeShape};
 use crate::track::warnings::{
-    BLENDED, COLOURS_LAG, FRINGES, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, UNLIKE_TAUGHT,
-    VIEWS_DISAGREE, WOVEN,
+    BLENDED, COLOURS_LAG, COPIED, FRINGES, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES,
+    UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
 };
 use nalgebra::{Matrix3, Vector2};
 
@@ -101,6 +102,7 @@ pub struct Tracker {
     moved: Moved,
     repeats: Repeats,
     pairs: Pairs,
+    copied: Copied,
     interpolated: Interpolated,
     grain: Grain,
     fields: Fields,
@@ -129,6 +131,7 @@ impl Tracker {
                 chroma_reach: rig.camera.chroma_reach,
                 mosaic: None,
                 error: ModelError::CODED,
+                first_coded: None,
             },
             transfer,
             judge: Judge::new(rig),
@@ -143,6 +146,7 @@ impl Tracker {
             moved: Moved::default(),
             repeats: Repeats::default(),
             pairs: Pairs::default(),
+            copied: Copied::default(),
             interpolated: Interpolated::default(),
             grain: Grain::default(),
             fields: Fields::default(),
@@ -186,7 +190,7 @@ impl Tracker {
         if picture.is_interlaced() {
             return Ok((missed(&Miss::Interlaced), None));
         }
-        if self.repeats.is_repeated(picture, frame.stamp) {
+        if self.repeats.is_repeated(picture, frame.stamp, self.model.is_predicted(picture)) {
             return Ok((missed(&Miss::Repeated), None));
         }
         let tick = self.lamp.as_mut().and_then(|lamp| lamp.step(picture));
@@ -217,9 +221,11 @@ impl Tracker {
             found => found?,
         };
         self.pairs.add(picture, &found.blobs);
+        self.copied.add(picture, found.windows_of(0));
+        self.model.first_coded = self.copied.from().cloned();
         self.look_for_mosaic(picture, &found);
         let (converted, noisy) = (self.pairs.are_alike(), self.grain.is_sensor());
-        self.model.error = ModelError::of(picture, converted, noisy);
+        self.model.error = ModelError::of(picture, self.model.quantisation(picture).is_some(), converted, noisy);
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
         self.judge.judge(&self.rig, &self.model.encoding, picture.format(), &found, &mut fitted);
@@ -246,7 +252,7 @@ impl Tracker {
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         // Before σ is widened: pictures that repeat scatter.
         self.repeats.remember(picture, found.windows(), &estimate);
-        self.widen(&mut estimate, picture.quantisation().is_some_and(|q| q.predicted));
+        self.widen(&mut estimate, self.model.is_predicted(picture));
         if let Some(rolling) = &mut self.rolling {
             rolling.correct(&self.rig, &mut estimate);
         }
@@ -266,8 +272,10 @@ impl Tracker {
         let diameter = self.diameter.doubt();
         let seen = [
             (self.pairs.are_alike(), PAIRED_CHROMA),
+            (self.copied.from().is_some(), COPIED),
             (self.judge.views_disagree(), VIEWS_DISAGREE),
             (self.judge.usual.is_unlike_learned(), UNLIKE_TAUGHT),
+            (self.scatter.iter().any(Scatter::is_unsteady), UNSTEADY),
             (self.shake.is_seen(), SHAKES),
             (self.moved.is_seen(), MOVED),
             (self.focus.has_changed() && self.rig.blurs_px().all(|blur| blur.is_some()), OUT_OF_FOCUS),
@@ -290,7 +298,8 @@ impl Tracker {
     /// Errors of the image model common to all frames so far, of which `picture` is one. Noise tells nothing of what
     /// stays.
     pub(crate) fn lasting_error(&self, picture: &Picture) -> ModelError {
-        ModelError::of(picture, self.pairs.are_alike(), false).lasting().blurred(self.focus.most_px())
+        let quantised = self.model.quantisation(picture).is_some();
+        ModelError::of(picture, quantised, self.pairs.are_alike(), false).lasting().blurred(self.focus.most_px())
     }
 
     /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were

@@ -75,7 +75,7 @@ impl View {
         let shown = Shown { image, layout: &stretch.layout, range_m };
         let comparison = Comparison::select(picture, model, &shown, density, margin_px)?;
         let patch = comparison.patch();
-        if picture.quantisation().is_some_and(|q| coded_variance(q, patch) > COARSEST) {
+        if model.quantisation(picture).is_some_and(|q| coded_variance(q, patch) > COARSEST) {
             return Err(NoFit::TooCoarse);
         }
         let looked_up = || patch.colours(picture, image, &stretch.layout, &model.encoding);

@@ -3,11 +3,14 @@
 pub(super) const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same chroma: they were made from \
      pictures with subsampled chroma, and what a coder lost there cannot be seen in them; σ assumes what is usual: \
      track the original";
+pub(super) const COPIED: &str = "parts of these pictures repeat those of the picture before to the last bit, and then \
+     change: they are a copy of a compressed video, or noise was reduced over time; nothing in them tells what was \
+     lost, and σ assumes what is usual for H.264 at crf 22: track the original";
 pub(super) const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: \
      they do not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
 pub(super) const OUT_OF_FOCUS: &str = "the pictures, or those of one view, are clearly sharper or more blurred than \
-     those on which the bands were taught: focus, distance or processing have changed, or the mirror is dirty; their \
-     blur is measured and used, but the first frames were tracked without it: teach the bands again";
+     those on which the bands were taught: focus, distance or processing have changed (chroma that was resampled, \
+     too), or the mirror is dirty; their blur is measured and used, but the first frames were tracked without it: teach the bands again";
 pub(super) const BLENDED: &str = "what moves is blurred by more than any exposure explains: earlier pictures were \
      blended into these (noise reduction over time, conversion of the frame rate), so bands are measured too late; σ \
      is widened by as much: record without it";
@@ -28,6 +31,9 @@ pub(super) const COLOURS_LAG: &str = "colours lag behind the brightness of what 
 pub(super) const OUT_OF_ORDER: &str = "two of the last ten pictures, or more, are in the wrong order, by the way the \
      bands move: rows there are wrong, and σ does not cover that; only the first such place is named: restore the \
      order, or leave these pictures out";
+pub(super) const UNSTEADY: &str = "a band scatters about a smooth motion by more than four times its σ: pictures or \
+     their stamps are in the wrong order or unevenly spaced (conversion of the frame rate), or it moves faster than \
+     these frames show; σ is widened by as much, but single rows may be worse";
 pub(super) const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or \
      clamp vibrate, or the pictures were processed; σ of all positions is widened by as much, but not that of \
      directions and θ, which hold if the whole picture moves alike (waves in one view do not)";
