@@ -7,8 +7,12 @@
 //! A B picture may be shown before the damaged picture it was predicted from. But it is decoded later, and by then the
 //! decoder has said that it conceals damage (see `messages`).
 //!
+//! Packets may be lost after they were coded, by a recorder or a network. In H.264 and H.265 the next picture refers to
+//! one that is missing, and the decoder says so. Pictures of damaged packets that it then keeps to itself are damaged
+//! too.
+//!
 //! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the
-//! decoder does not notice.
+//! decoder does not notice. VP8, MPEG-4 and MPEG-2 do not number their pictures.
 
 use super::messages::Said;
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,13 +27,27 @@ pub(crate) struct DamageLog {
     /// Key frames: number and time.
     keys: BTreeMap<u64, Option<i64>>,
     damaged: BTreeSet<u64>,
+    /// Those of them whose times were returned.
+    told: BTreeSet<u64>,
     /// Packets with an error that may give a picture nevertheless.
     suspects: BTreeSet<u64>,
     /// Those that have given no picture yet, by time.
     number_of: BTreeMap<i64, u64>,
+    /// Whether the stream may skip numbers of pictures without a loss.
+    skips_numbers: bool,
 }
 
 impl DamageLog {
+    /// Of a stream that may skip numbers of pictures without a loss, or must not.
+    pub(super) fn new(skips_numbers: bool) -> Self {
+        Self { skips_numbers, ..Self::default() }
+    }
+
+    /// Forgets all packets.
+    pub(super) fn forget(&mut self) {
+        *self = Self::new(self.skips_numbers);
+    }
+
     /// The next packet to be decoded; returns its number.
     pub(crate) fn packet(&mut self, pts: Option<i64>, is_key: bool) -> u64 {
         if is_key {
@@ -50,7 +68,8 @@ impl DamageLog {
     pub(super) fn heard(&mut self, number: u64, said: Said) {
         let packets = match said {
             Said::Error => &mut self.suspects,
-            Said::Concealed => &mut self.damaged,
+            Said::SkipsNumbers if self.skips_numbers => return,
+            Said::Concealed | Said::SkipsNumbers => &mut self.damaged,
         };
         packets.insert(number);
     }
@@ -59,6 +78,7 @@ impl DamageLog {
     pub(crate) fn packet_is_damaged(&mut self, before: u64) -> Option<i64> {
         let number = self.count.saturating_sub(1 + before);
         self.damaged.insert(number);
+        self.told.insert(number);
         self.number_of.iter().find(|(_, of)| **of == number).map(|(pts, _)| *pts)
     }
 
@@ -78,6 +98,19 @@ impl DamageLog {
         let failed: Vec<_> = before.filter(|(_, number)| suspects.remove(number)).collect();
         damaged.extend(failed.iter().map(|(_, number)| **number));
         failed.into_iter().map(|(pts, _)| *pts).collect()
+    }
+
+    /// Times of packets before `pts`, whose picture has come, that are damaged or follow damage, and have given none:
+    /// they give none any more. Each is returned once, unless it was before.
+    pub(super) fn kept_back_before(&mut self, pts: i64) -> Vec<i64> {
+        if self.damaged.is_empty() {
+            return Vec::new();
+        }
+        let before = self.number_of.range(..pts);
+        let kept: Vec<_> =
+            before.map(|(pts, n)| (*pts, *n)).filter(|(pts, n)| !self.is_sound(*n, Some(*pts))).collect();
+        kept.iter().for_each(|(pts, _)| _ = self.number_of.remove(pts));
+        kept.into_iter().filter(|(_, number)| !self.told.contains(number)).map(|(pts, _)| pts).collect()
     }
 
     /// Whether an error is known to be that of a suspect.
@@ -108,6 +141,7 @@ impl DamageLog {
         let key = self.keys.range(..=number).rev().nth(1).map_or(0, |(key, _)| *key);
         self.keys = self.keys.split_off(&key);
         self.damaged = self.damaged.split_off(&key);
+        self.told = self.told.split_off(&key);
         self.suspects = self.suspects.split_off(&number);
         self.number_of.retain(|_, n| *n >= number);
     }
@@ -204,5 +238,37 @@ mod tests {
         assert_eq!(failed, [2]);
         assert!(log.failed_before(None).is_empty());
         assert_eq!([1, 3].map(|number| log.is_sound(number, None)), [true, false]);
+    }
+    #[test]
+    fn what_the_decoder_keeps_back_after_a_loss_is_damaged_and_told_once() {
+        for (skips_numbers, expected) in [(false, vec![11, 12, 13]), (true, vec![])] {
+            let mut log = DamageLog::new(skips_numbers);
+            // Packet 10 was lost.
+            let mut told = Vec::new();
+            for pts in (0..24).filter(|pts| *pts != 10) {
+                let number = log.packet(Some(pts), pts % 8 == 0);
+                if pts == 11 {
+                    log.heard(number, Said::SkipsNumbers);
+                }
+                if !(11..14).contains(&pts) {
+                    let picture = log.picture(Some(pts), false);
+                    assert_eq!(log.is_sound(picture, Some(pts)), skips_numbers || !(14..16).contains(&pts), "{pts}");
+                    told.extend(log.kept_back_before(pts));
+                }
+            }
+            assert_eq!(told, expected);
+        }
+    }
+
+    #[test]
+    fn a_packet_whose_error_was_told_is_not_told_again() {
+        let mut log = DamageLog::default();
+        for pts in 0..4 {
+            log.packet(Some(pts), pts == 0);
+        }
+        log.picture(Some(0), false);
+        assert_eq!(log.packet_is_damaged(2), Some(1));
+        log.picture(Some(3), false);
+        assert_eq!(log.kept_back_before(3), [2]);
     }
 }

@@ -20,6 +20,8 @@ pub(crate) struct PictureMaker {
     siting: ChromaSiting,
     /// Whether the coder loses nothing to speak of, so that no quantisation need be assumed where none is stated.
     loses_little: bool,
+    /// Whether it predicts pictures without numbering them.
+    numbers_nothing: bool,
     last_coded: LastCoded,
     warned: Vec<&'static str>,
 }
@@ -40,6 +42,13 @@ fn loses_little(codec: Id) -> bool {
     is_lossless || matches!(codec, Id::PRORES | Id::DNXHD | Id::CFHD | Id::JPEG2000 | Id::MJPEG)
 }
 
+/// Whether a coder predicts pictures from others without numbering them: where one was lost after coding, its decoder cannot
+/// know.
+fn numbers_nothing(codec: Id) -> bool {
+    matches!(codec, Id::VP8 | Id::MPEG4 | Id::MPEG1VIDEO | Id::MPEG2VIDEO | Id::H263 | Id::FLV1 | Id::THEORA)
+        || matches!(codec, Id::MSMPEG4V1 | Id::MSMPEG4V2 | Id::MSMPEG4V3 | Id::WMV1 | Id::WMV2 | Id::WMV3 | Id::VC1)
+}
+
 /// swscale from one format and size to another.
 struct Converter(scaling::Context);
 
@@ -54,7 +63,8 @@ impl PictureMaker {
             _ => ChromaSiting::Left,
         };
         let loses_little = loses_little(codec);
-        Self { path, converter: None, siting, loses_little, last_coded: LastCoded::default(), warned: Vec::new() }
+        let (converter, last_coded, warned) = (None, LastCoded::default(), Vec::new());
+        Self { path, converter, siting, loses_little, numbers_nothing: numbers_nothing(codec), last_coded, warned }
     }
 
     /// Sets the chroma siting of frames that do not state it, overriding the codec's default.
@@ -89,6 +99,24 @@ impl PictureMaker {
             None => (!self.loses_little).then(|| self.assumed(size_px)),
         };
         Ok(picture.quantised(quantisation))
+    }
+
+    /// Pictures are missing before a frame at this time.
+    pub(super) fn are_missing_before(&mut self, frame: &Video, at_s: f64) {
+        if self.numbers_nothing && !frame.is_key() && self.first("loss") {
+            tracing::warn!(
+                "{}: pictures are missing before {at_s} s, and their coder does not number them: if a recorder or network \
+                 lost them after coding, those up to the next key frame are wrong",
+                self.path.display()
+            );
+        }
+    }
+
+    /// How the picture of a frame will be stored; `None` when it cannot be.
+    pub(super) fn layout(&mut self, frame: &Video) -> Option<(PixelFormat, Colour)> {
+        let pixel = frame.format();
+        let format = native(pixel).or(convertible(pixel).map(|(_, format)| format))?;
+        Some((format, self.colour(frame).ok()?))
     }
 
     /// A frame in a format of [`Picture`].

@@ -7,10 +7,12 @@ use super::check::{InCheck, PacketCheck, Verdict};
 use super::container::{MAX_REORDERED, best_video, count_hint, open_decoder, open_input};
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
+use super::headers::skips_numbers;
 use super::messages::{self, Messages};
 use super::quantisation::Stated;
 use super::times::seconds;
 use super::{Clock, SourceError, Span};
+use crate::plural::plural;
 use ffmpeg_the_third as av;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::PathBuf;
@@ -69,6 +71,8 @@ pub(super) struct Decoding {
     stated: BTreeMap<i64, Stated>,
     /// Times of damaged packets that have given no picture yet.
     undecoded: BTreeSet<i64>,
+    /// Times of a recording's packets before the first picture; `None` once that has come, and after a jump.
+    before_first: Option<BTreeSet<i64>>,
     /// Decoded pictures not judged yet.
     held: VecDeque<Decoded>,
     /// A frame decoded while looking for the start of the span.
@@ -109,6 +113,7 @@ impl Decoding {
         let stream = best_video(&path, &input)?;
         let decoder = open_decoder(&path, &stream, threads, clock == Clock::Stream)?;
         let check = PacketCheck::of(&path, &stream);
+        let damage = DamageLog::new(skips_numbers(&stream));
         Ok(Self {
             stream: stream.index(),
             time_base: stream.time_base(),
@@ -119,12 +124,13 @@ impl Decoding {
             input,
             threads,
             decoder,
-            damage: DamageLog::default(),
+            damage,
             messages: Messages::default(),
             check,
             read: VecDeque::new(),
             stated: BTreeMap::new(),
             undecoded: BTreeSet::new(),
+            before_first: (clock == Clock::Container).then(BTreeSet::new),
             held: VecDeque::new(),
             ahead: None,
             draining: false,
@@ -160,7 +166,7 @@ impl Decoding {
         }
         self.decoder.flush();
         self.forget();
-        self.packets = None;
+        (self.packets, self.before_first) = (None, None);
         true
     }
 
@@ -173,13 +179,14 @@ impl Decoding {
         let stream = best_video(&self.path, &self.input)?;
         self.decoder = open_decoder(&self.path, &stream, self.threads, self.clock == Clock::Stream)?;
         self.forget();
-        self.packets = Some(0);
+        (self.packets, self.before_first) = (Some(0), Some(BTreeSet::new()));
         Ok(())
     }
 
     /// Forgets what was read.
     fn forget(&mut self) {
-        (self.damage, self.messages) = Default::default();
+        self.damage.forget();
+        self.messages = Messages::default();
         self.read.clear();
         self.stated.clear();
         self.undecoded.clear();
@@ -267,12 +274,32 @@ impl Decoding {
             let Some(frame) = next else { break };
             let pts = time_of(&frame);
             let number = self.damage.picture(pts, is_damaged(&frame));
-            pts.inspect(|pts| {
-                self.undecoded.remove(pts);
-            });
+            if let Some(pts) = pts {
+                self.undecoded.remove(&pts);
+                self.note_kept_back(pts);
+            }
             self.held.push_back(Decoded { frame, number });
         }
         self.held.pop_front()
+    }
+
+    /// Of a recording: the packets before a picture that will give none are damaged, or cannot be decoded as they are
+    /// predicted from what is not there.
+    fn note_kept_back(&mut self, pts: i64) {
+        if self.clock != Clock::Container {
+            return;
+        }
+        self.undecoded.extend(self.damage.kept_back_before(pts));
+        let Some(mut before) = self.before_first.take() else { return };
+        before.retain(|at| *at < pts);
+        if !before.is_empty() {
+            tracing::warn!(
+                "{}: it begins between two key frames: {} before its first picture cannot be decoded",
+                self.path.display(),
+                plural(before.len() as u64, "packet")
+            );
+            self.undecoded.append(&mut before);
+        }
     }
 
     /// Gives the decoder the stream's next packet.
@@ -296,6 +323,12 @@ impl Decoding {
                         self.in_turn.extend(packet.dts());
                     }
                     let number = self.damage.packet(pts, packet.is_key());
+                    if let (Some(before), Some(pts)) = (&mut self.before_first, packet.pts())
+                        && !is_left_out(packet)
+                        && before.len() < MAX_UNDECODED
+                    {
+                        before.insert(pts);
+                    }
                     self.messages.packet(&mut self.decoder, number);
                     if packet.is_corrupt() {
                         self.damaged_packet(av::Error::InvalidData, false);

@@ -312,6 +312,9 @@ impl VideoFile {
         while !self.ended {
             let next = self.decoding.next_picture();
             let until = next.as_ref().map_or(Some(i64::MAX), Decoded::pts);
+            if self.layout.is_none() {
+                self.layout = next.as_ref().and_then(|next| self.pictures.layout(&next.frame));
+            }
             if let Some(frame) = self.undecoded_before(until)? {
                 next.into_iter().for_each(|next| self.decoding.put_back(next));
                 return Ok(Some(frame));
@@ -329,7 +332,11 @@ impl VideoFile {
                 self.after_ns = Some(stamp.ns);
                 return self.end();
             }
-            self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.faults));
+            let gap = self.stamps.gap(stamp.ns, self.seq, &mut self.faults);
+            self.missing = self.missing.saturating_add(gap);
+            if gap > 0 {
+                self.pictures.are_missing_before(&decoded.frame, stamp.seconds());
+            }
             let sound = self.decoding.is_sound(&decoded);
             if !sound {
                 self.leave_out(stamp);

@@ -1,4 +1,5 @@
-//! The quantiser that the headers of packets state, of coders whose decoders do not tell it: H.265 and AV1.
+//! The quantiser that the headers of packets state, of coders whose decoders do not tell it: H.265 and AV1. Whether a
+//! stream of H.264 may skip numbers of pictures.
 //!
 //! libav parses these headers for itself, but gives out only what its filter `trace_headers` logs: every element, by
 //! name. The coder may deviate from a header's quantiser in parts of the picture. How far is coded with these parts,
@@ -44,6 +45,15 @@ impl Headers {
         coder.level(&logged(|| tracer.trace(packet)))
     }
 }
+
+/// Whether a stream may skip numbers of pictures without a loss (ITU-T H.264, `gaps_in_frame_num_value_allowed_flag`).
+pub(super) fn skips_numbers(stream: &av::format::stream::Stream<'_>) -> bool {
+    let states = |line: &String| element(line).is_some_and(|(name, value)| name == SKIPS_NUMBERS && value != 0);
+    stream.parameters().id() == av::codec::Id::H264 && logged(|| drop(Tracer::new(stream))).iter().any(states)
+}
+
+/// libav's name of that element.
+const SKIPS_NUMBERS: &str = "gaps_in_frame_num_allowed_flag";
 
 impl Coder {
     /// Takes the elements in these lines; returns the level of the picture that they belong to.

@@ -17,12 +17,20 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 pub(super) enum Said {
     /// An error: the packet may give no picture.
     Error,
-    /// Its picture has holes, which were filled.
+    /// Its number (H.264's `frame_num`) is not the next one. Some coders skip numbers and say so beforehand.
+    SkipsNumbers,
+    /// Its picture has holes, which were filled, or pictures that it is predicted from are missing.
     Concealed,
 }
 
-/// What a message of concealed damage begins with.
-const CONCEALING: &[u8] = b"concealing ";
+/// What messages begin with that tell of concealed damage, and of missing pictures (H.264 and H.265), and what each means.
+const TELLING: [(&[u8], Said); 5] = [
+    (b"concealing ", Said::Concealed),
+    (b"Missing reference picture", Said::Concealed),
+    (b"reference picture missing", Said::Concealed),
+    (b"Could not find ref", Said::Concealed),
+    (b"Frame num gap", Said::SkipsNumbers),
+];
 /// What a message of a Matroska container begins with that ends where it declares more. libav reports a normal end.
 const CUT_OFF: &[u8] = b"File ended prematurely";
 /// Packets remembered: more than there can be threads.
@@ -138,11 +146,9 @@ unsafe extern "C" fn hear(context: *mut c_void, level: c_int, format: *const c_c
         if begin.starts_with(CUT_OFF) {
             HEARD_OF_CUT.set(true);
         }
-        let said = if begin.starts_with(CONCEALING) {
-            Some(Said::Concealed)
-        } else {
-            (level <= av::ffi::AV_LOG_ERROR as c_int).then_some(Said::Error)
-        };
+        let is_error = level <= av::ffi::AV_LOG_ERROR as c_int;
+        let told = TELLING.iter().find(|(how, _)| begin.starts_with(how));
+        let said = told.map(|(_, said)| *said).or(is_error.then_some(Said::Error));
         if let Some(said) = said
             && !context.is_null()
             && *context.cast::<*const av::ffi::AVClass>() == av::ffi::avcodec_get_class()
