@@ -57,7 +57,7 @@ class Paper:
     def dynamics(self, scale):
         """Chirps of all records, the model, and Table I."""
         (self.out / "plant.toml").write_text(PLANT)
-        records = {"training": (300, 0.5, 8), "validation_1": (360, 0.5, 8), "validation_2": (300, 0.5, 4)}
+        records = {"training": (300, 0.5, 8), "validation_1": (360, 1, 8), "validation_2": (300, 0.5, 4)}
         moved = []
         for seed, (name, (seconds, low, high)) in enumerate(records.items(), 1):
             band = ["--from", f"{low}Hz", "--to", f"{high}Hz"]
@@ -67,7 +67,7 @@ class Paper:
         self.run_all(moved)
         currents = [word for name in records for word in ("--currents", f"{name}_currents.csv")]
         judged = [word for name in list(records)[1:] for word in ("--validate", f"{name}.csv")]
-        ways = ["--order", "15", "--all-frequencies", "--bootstrap", "20"]
+        ways = ["--order", "15", "--all-frequencies", "--bootstrap", "0"]
         self.run("identify", "training.csv", *judged, *currents, "--plant", "plant.toml", *ways, "-o", "dynamics")
 
     def paths(self, shape, pauses):
