@@ -20,6 +20,8 @@ pub(crate) enum Staleness {
     Unfinished,
     /// These inputs have changed.
     Changed(Vec<&'static str>),
+    /// Nothing is known to have changed, but these inputs could not be read, then or now.
+    Unknown(Vec<&'static str>),
     /// A result file is missing or was changed.
     File(String),
     /// The summary cannot be parsed.
@@ -47,6 +49,7 @@ impl fmt::Display for Staleness {
             Self::New => f.write_str("new"),
             Self::Unfinished => f.write_str("begun and not finished"),
             Self::Changed(parts) => write!(f, "{} changed", parts.join(", ")),
+            Self::Unknown(parts) => write!(f, "not known whether {} changed", parts.join(", ")),
             Self::File(name) => write!(f, "{name} is gone or changed"),
             Self::Summary(why) => write!(f, "its summary cannot be used: {why}"),
             Self::Failed(why) => write!(f, "failed before, may pass now: {why}"),
@@ -74,16 +77,28 @@ pub(crate) fn staleness(folder: &Path, now: &CurrentInputs) -> Staleness {
         Err(SummaryError::Form { reason, .. }) => return Staleness::Summary(reason),
     };
     let (then, now_hashes) = (&summary.sha256, &now.sha256);
+    // A run fails in the same way as long as its recording or rig cannot be read.
+    let failed = summary.outcome == Outcome::Failed;
+    let same = |then: &Option<String>, now: &Option<String>, may_be_missing: bool| match (then, now) {
+        (None, None) => may_be_missing.then_some(true),
+        (then, now) => Some(then == now),
+    };
     let parts = [
-        ("recording", then.recording == now_hashes.recording),
-        ("rig", then.rig == now_hashes.rig),
-        ("options", then.options == now_hashes.options),
-        ("program", then.program == now_hashes.program),
-        ("libraries", summary.libraries == now.libraries),
+        ("recording", same(&then.recording, &now_hashes.recording, failed)),
+        ("rig", same(&then.rig, &now_hashes.rig, failed)),
+        ("options", same(&then.options, &now_hashes.options, false)),
+        ("program", same(&then.program, &now_hashes.program, false)),
+        ("libraries", Some(summary.libraries == now.libraries)),
     ];
-    let changed: Vec<_> = parts.iter().filter(|(_, same)| !same).map(|(name, _)| *name).collect();
+    let those = |answer: Option<bool>| -> Vec<_> {
+        parts.iter().filter(|(_, same)| *same == answer).map(|(name, _)| *name).collect()
+    };
+    let (changed, unknown) = (those(Some(false)), those(None));
     if !changed.is_empty() {
         return Staleness::Changed(changed);
+    }
+    if !unknown.is_empty() {
+        return Staleness::Unknown(unknown);
     }
     if let Some(failure) = summary.failure.as_ref().filter(|failure| failure.retryable) {
         return Staleness::Failed(failure.message.lines().next().unwrap_or("").to_owned());
@@ -114,4 +129,35 @@ pub(crate) fn is_complete(folder: &Path, recording: &str) -> bool {
         summary.outcome != Outcome::Failed && summary.recording == recording && changed_file(folder, summary).is_none()
     };
     RunSummary::read(folder).is_ok_and(|summary| summary.as_ref().is_some_and(complete))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::archive::Failed;
+
+    #[test]
+    fn what_was_never_read_is_not_taken_for_unchanged() {
+        let folder = tempfile::tempdir().unwrap();
+        let known = |text: &str| Some(text.repeat(32));
+        let all = Hashes { recording: known("01"), rig: known("02"), options: known("03"), program: known("04") };
+        let found = |hashes: &Hashes, outcome: Outcome| {
+            let failed = Failed { message: "no such file".into(), retryable: false };
+            let failure = (outcome == Outcome::Failed).then_some(failed);
+            let summary =
+                RunSummary { sha256: hashes.clone(), outcome, failure, files: Vec::new(), ..RunSummary::example() };
+            summary.write(folder.path()).unwrap();
+            let now = CurrentInputs { sha256: hashes.clone(), libraries: summary.libraries };
+            staleness(folder.path(), &now).to_string()
+        };
+        assert_eq!(found(&all, Outcome::Tracked), "done");
+        let without_program = Hashes { program: None, ..all.clone() };
+        assert_eq!(found(&without_program, Outcome::Tracked), "not known whether program changed");
+        assert_eq!(found(&without_program, Outcome::Failed), "not known whether program changed");
+        let without_recording = Hashes { recording: None, options: None, ..all.clone() };
+        assert_eq!(found(&without_recording, Outcome::Tracked), "not known whether recording, options changed");
+        // A recording that is not there fails as before.
+        let absent = Hashes { recording: None, ..all };
+        assert_eq!(found(&absent, Outcome::Failed), "failed before, nothing has changed: no such file");
+    }
 }
