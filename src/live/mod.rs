@@ -53,7 +53,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::thread::Builder;
+use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 use subscribers::Subscribers;
 use tracing::Span;
@@ -67,6 +67,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 /// A tracker that fell behind is urgent again when it has passed over no frame for so long.
 const RECOVERY: Duration = Duration::from_secs(5);
+
 /// Where the rows of a live run go.
 #[derive(Default)]
 pub struct Outputs {
@@ -145,13 +146,7 @@ pub fn run(
     let recording = outputs.pictures.map(|recording| Pictures::start(recording, log.clone())).transpose()?;
     let (pictures, recorder) = recording.unzip();
 
-    let camera = {
-        let (queue, stop) = (Arc::clone(&queue), Arc::clone(stop));
-        // Its warnings, and the tracker's, belong to the caller's span.
-        let span = Span::current();
-        let take = move || span.in_scope(|| take_all(source, &queue, &stop));
-        Builder::new().name("camera".to_owned()).spawn(take)?
-    };
+    let camera = start_camera(source, Arc::clone(&queue), Arc::clone(stop))?;
     let currents = outputs.currents.map(|samples| {
         let (log, subscribers, latest) = (log.clone(), subscribers.clone(), outputs.latest.clone());
         let stop = Arc::clone(stop);
@@ -201,10 +196,13 @@ pub fn run(
             queue.close();
         }
     }
-    // What is asleep in a driver is not waited for: the process ends soon.
     stop.store(true, Ordering::Relaxed);
-    let taken = camera.is_finished().then(|| returned(camera.join()));
-    let (source_faults, source_end) = taken.unwrap_or_default();
+    let asked = interrupted.as_ref().map_or_else(Instant::now, |(since, _)| *since);
+    let (source_faults, source_end) = ended_by(camera, asked + STOP_TIMEOUT).unwrap_or_else(|| {
+        let timeout_s = STOP_TIMEOUT.as_secs();
+        tracing::warn!("the camera did not stop in {timeout_s} s: counts of its faults are not known, and stay 0");
+        CameraEnd::default()
+    });
     let (tracked, controllers) = returned(tracking.join());
     currents.into_iter().for_each(|thread| returned(thread.join()));
     let unrecorded = recorder.and_then(|thread| returned(thread.join()));
@@ -216,14 +214,14 @@ pub fn run(
     for sink in publishers.into_iter().filter_map(|thread| returned(thread.join())) {
         finish_all(vec![(sink, true)], &tally).iter().for_each(Subscribers::report);
     }
-    let end = match (tracked, interrupted, source_end) {
-        (Some(end), _, _) | (None, Some((_, end)), _) => end,
-        (None, None, Some(error)) if error.is_early_end() => End::Early(error),
-        (None, None, Some(error)) => End::Source(error),
-        (None, None, None) => End::Complete,
-    };
     Ok(LiveSummary {
-        run: Summary { tally, source: source_faults, elapsed: began.elapsed(), end, sink_failures },
+        run: Summary {
+            tally,
+            source: source_faults,
+            elapsed: began.elapsed(),
+            end: end_of(tracked, interrupted.map(|(_, end)| end), source_end),
+            sink_failures,
+        },
         latency,
         unlogged_frames: backlog.unlogged_frames(),
         unlogged_currents: backlog.unlogged_currents(),
@@ -233,12 +231,39 @@ pub fn run(
     })
 }
 
+/// Faults of the stream, and the error that ended it.
+type CameraEnd = (StreamFaults, Option<SourceError>);
+
+/// Its warnings belong to the caller's span.
+fn start_camera(
+    source: Box<dyn FrameSource + Send>,
+    queue: Arc<Queue>,
+    stop: Arc<AtomicBool>,
+) -> io::Result<JoinHandle<CameraEnd>> {
+    let span = Span::current();
+    Builder::new().name("camera".to_owned()).spawn(move || span.in_scope(|| take_all(source, &queue, &stop)))
+}
+
+/// What a thread returned, if it ends by then. What is asleep in a driver is not waited for: the process ends soon.
+fn ended_by<T>(thread: JoinHandle<T>, deadline: Instant) -> Option<T> {
+    while !thread.is_finished() && Instant::now() < deadline {
+        std::thread::sleep(POLL_INTERVAL);
+    }
+    thread.is_finished().then(|| returned(thread.join()))
+}
+
+/// Why the run ended: by the tracker, by request, or by the source.
+fn end_of(tracked: Option<End>, requested: Option<End>, source: Option<SourceError>) -> End {
+    match (tracked.or(requested), source) {
+        (Some(end), _) => end,
+        (None, Some(error)) if error.is_early_end() => End::Early(error),
+        (None, Some(error)) => End::Source(error),
+        (None, None) => End::Complete,
+    }
+}
+
 /// Takes frames until there are no more.
-fn take_all(
-    mut source: Box<dyn FrameSource + Send>,
-    queue: &Queue,
-    stop: &AtomicBool,
-) -> (StreamFaults, Option<SourceError>) {
+fn take_all(mut source: Box<dyn FrameSource + Send>, queue: &Queue, stop: &AtomicBool) -> CameraEnd {
     run_as(Urgency::Camera);
     let end = loop {
         if stop.load(Ordering::Relaxed) {
@@ -361,5 +386,32 @@ fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut RowOutputs) -> Opti
             }
         }
         tracker.warning().iter().for_each(|warning| tracing::warn!("{warning}"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_is_asleep_is_not_waited_for_and_one_that_is_about_to_end_is() {
+        let asleep = std::thread::spawn(|| std::thread::sleep(Duration::from_secs(3600)));
+        let began = Instant::now();
+        assert_eq!(ended_by(asleep, began + Duration::from_millis(120)), None);
+        assert!(began.elapsed() < Duration::from_secs(60));
+        let slow = std::thread::spawn(|| {
+            std::thread::sleep(Duration::from_millis(120));
+            7
+        });
+        assert_eq!(ended_by(slow, Instant::now() + Duration::from_secs(60)), Some(7));
+    }
+
+    #[test]
+    fn the_tracker_ends_a_run_before_anybody_and_a_source_last() {
+        let failed = || Some(SourceError::Stream { url: String::new(), reason: String::new() });
+        assert!(matches!(end_of(Some(End::Sink), Some(End::Interrupted), failed()), End::Sink));
+        assert!(matches!(end_of(None, Some(End::Interrupted), failed()), End::Interrupted));
+        assert!(matches!(end_of(None, None, failed()), End::Source(_)));
+        assert!(matches!(end_of(None, None, None), End::Complete));
     }
 }
