@@ -1,30 +1,105 @@
-//! Covariances that calibrations noted in `[provenance]`, as far as they are used: numbers that cannot be variances are
-//! refused. The rest of the section is free.
+//! Covariances that calibrations noted in `[provenance]`, and the boards' volume, as far as they are used: read here by
+//! all who need them. Numbers that cannot be variances, and matrices of another size, are refused. The rest of the
+//! section is free.
 
-/// Tables and keys of the covariances.
-const NOTED: [(&str, &str); 2] = [("camera", "lens_covariance"), ("rig", "covariance")];
+use super::Draft;
+use crate::optics::Lens;
+use nalgebra::{DMatrix, Vector3};
+use toml::{Table, Value};
 
-/// What is wrong with a number.
+/// Focal lengths and principal point: a lens has these besides its coefficients.
+const PINHOLE_NUMBERS: usize = 4;
+
+/// What is wrong with a value.
 pub(super) struct Wrong {
     pub(super) key: String,
-    pub(super) value: f64,
-    pub(super) expected: &'static str,
+    pub(super) value: String,
+    pub(super) expected: String,
 }
 
-/// The first number that is not finite, or is a negative variance.
-pub(super) fn wrong(provenance: &toml::Table) -> Option<Wrong> {
-    NOTED.iter().find_map(|(table, key)| {
-        let rows = provenance.get(*table)?.get(*key)?.as_array()?;
-        let rows = rows.iter().enumerate().filter_map(|(i, row)| Some((i, row.as_array()?)));
-        let mut cells = rows.flat_map(|(i, row)| row.iter().enumerate().map(move |(j, cell)| ((i, j), cell)));
-        cells.find_map(|((i, j), cell)| {
-            let value = cell.as_float().or_else(|| cell.as_integer().map(|whole| whole as f64))?;
-            let expected = match value.is_finite() {
-                false => "a finite number",
-                true if i == j && value < 0.0 => "a variance, which is not negative",
-                true => return None,
+impl Draft {
+    /// Of the lens, as noted by `calibrate camera`, in the order of its parameters.
+    pub(crate) fn lens_covariance(&self) -> Option<DMatrix<f64>> {
+        matrix(noted(&self.provenance, "camera", "lens_covariance")?, lens_numbers(&self.camera.lens))
+    }
+
+    /// Of the parameters that `calibrate rig` found, with their names.
+    pub(crate) fn rig_covariance(&self) -> Option<(Vec<&str>, DMatrix<f64>)> {
+        let names = noted(&self.provenance, "rig", "parameters")?.as_array()?;
+        let names: Vec<&str> = names.iter().map(Value::as_str).collect::<Option<_>>()?;
+        let covariance = matrix(noted(&self.provenance, "rig", "covariance")?, names.len())?;
+        Some((names, covariance))
+    }
+
+    /// The box covered by the boards, as noted by `calibrate rig`: lowest and highest corner, camera frame, metres.
+    pub(crate) fn boards_volume_m(&self) -> Option<[Vector3<f64>; 2]> {
+        let corners = rows(noted(&self.provenance, "rig", "volume_mm")?)?;
+        let [low, high] = <[Vec<f64>; 2]>::try_from(corners).ok()?;
+        let corner = |numbers: Vec<f64>| Some(Vector3::from(<[f64; 3]>::try_from(numbers).ok()?) * 1e-3);
+        Some([corner(low)?, corner(high)?])
+    }
+}
+
+/// The first value that is not a finite number, or is a negative variance, or makes a matrix of another size.
+pub(super) fn wrong(provenance: &Table, lens: &Lens) -> Option<Wrong> {
+    let of_lens = lens_numbers(lens);
+    let parameters = noted(provenance, "rig", "parameters").and_then(Value::as_array).map_or(0, Vec::len);
+    wrong_table(provenance, ("camera", "lens_covariance"), [of_lens; 2], "one for each number of the lens")
+        .or_else(|| wrong_table(provenance, ("rig", "covariance"), [parameters; 2], "one for each of rig.parameters"))
+        .or_else(|| wrong_table(provenance, ("rig", "volume_mm"), [2, 3], "lowest and highest corner"))
+}
+
+fn wrong_table(provenance: &Table, (table, key): (&str, &str), size: [usize; 2], meaning: &str) -> Option<Wrong> {
+    let [height, width] = size;
+    let value = noted(provenance, table, key)?;
+    let key = format!("provenance.{table}.{key}");
+    let of_size = |key: String, value: String| {
+        Some(Wrong { key, value, expected: format!("{height} rows of {width} numbers, {meaning}") })
+    };
+    let Some(rows) = value.as_array() else { return of_size(key, value.to_string()) };
+    for (i, row) in rows.iter().enumerate() {
+        let Some(row) = row.as_array() else { return of_size(format!("{key}[{i}]"), row.to_string()) };
+        for (j, cell) in row.iter().enumerate() {
+            let (value, expected) = match number(cell) {
+                None => (cell.to_string(), "a number"),
+                Some(value) if !value.is_finite() => (value.to_string(), "a finite number"),
+                Some(value) if height == width && i == j && value < 0.0 => {
+                    (value.to_string(), "a variance, which is not negative")
+                }
+                Some(_) => continue,
             };
-            Some(Wrong { key: format!("provenance.{table}.{key}[{i}][{j}]"), value, expected })
-        })
-    })
+            return Some(Wrong { key: format!("{key}[{i}][{j}]"), value, expected: expected.to_owned() });
+        }
+    }
+    if rows.len() != height {
+        return of_size(key, format!("{} rows", rows.len()));
+    }
+    let widths = rows.iter().map(|row| row.as_array().map_or(0, Vec::len));
+    let (i, found) = widths.enumerate().find(|(_, found)| *found != width)?;
+    of_size(format!("{key}[{i}]"), format!("{found} numbers"))
+}
+
+/// How many numbers the covariance of a lens has in a row.
+fn lens_numbers(lens: &Lens) -> usize {
+    PINHOLE_NUMBERS + lens.coefficients().len()
+}
+
+fn noted<'a>(provenance: &'a Table, table: &str, key: &str) -> Option<&'a Value> {
+    provenance.get(table)?.get(key)
+}
+
+/// A number, written with a decimal point or without.
+fn number(value: &Value) -> Option<f64> {
+    value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64))
+}
+
+fn rows(value: &Value) -> Option<Vec<Vec<f64>>> {
+    let row = |row: &Value| row.as_array()?.iter().map(number).collect();
+    value.as_array()?.iter().map(row).collect()
+}
+
+fn matrix(value: &Value, size: usize) -> Option<DMatrix<f64>> {
+    let rows = rows(value)?;
+    let is_square = rows.len() == size && rows.iter().all(|row| row.len() == size);
+    is_square.then(|| DMatrix::from_row_slice(size, size, &rows.concat()))
 }

@@ -99,15 +99,15 @@ impl Draft {
             "k5",
             "k6",
         ];
-        let variance = |of: &str, rows: &str, at: usize| {
-            let row = self.provenance.get(of)?.get(rows)?.as_array()?.get(at)?.as_array()?;
-            row.get(at)?.as_float()
-        };
         let of_rig = || {
-            let names = self.provenance.get("rig")?.get("parameters")?.as_array()?;
-            variance("rig", "covariance", names.iter().position(|name| name.as_str() == Some(parameter))?)
+            let (names, covariance) = self.rig_covariance()?;
+            let at = names.iter().position(|name| *name == parameter)?;
+            covariance.get((at, at)).copied()
         };
-        let of_camera = || variance("camera", "lens_covariance", LENS.iter().position(|name| *name == parameter)?);
+        let of_camera = || {
+            let at = LENS.iter().position(|name| *name == parameter)?;
+            self.lens_covariance()?.get((at, at)).copied()
+        };
         of_rig().or_else(of_camera).filter(|variance| *variance >= 0.0).map(f64::sqrt)
     }
 

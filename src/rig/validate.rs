@@ -36,7 +36,7 @@ pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     check.bands_apart(&markers)?;
     let catheter = raw.catheter.map(|catheter| check.catheter(&catheter, &markers)).transpose()?;
     let base = raw.base.map(|base| check.base(&base)).transpose()?;
-    if let Some(covariance::Wrong { key, value, expected }) = covariance::wrong(&raw.provenance) {
+    if let Some(covariance::Wrong { key, value, expected }) = covariance::wrong(&raw.provenance, &camera.lens) {
         return Err(check.value(key, value, expected));
     }
     Ok(Draft { camera, surfaces, views, markers, catheter, base, provenance: raw.provenance })

@@ -223,6 +223,26 @@ fn mistakes_are_named() {
             "[provenance.camera]\nlens_covariance = [[inf]]\n[provenance]",
             &["provenance.camera.lens_covariance[0][0] = inf", "a finite number"],
         ),
+        (
+            "[provenance]",
+            "[provenance.camera]\nlens_covariance = [[1.0, 0.0], [0.0, 1.0]]\n[provenance]",
+            &["provenance.camera.lens_covariance = 2 rows", "9 rows of 9 numbers, one for each number of the lens"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.rig]\nparameters = [\"a\", \"b\"]\ncovariance = [[1.0, 0.0], [0.0]]\n[provenance]",
+            &["provenance.rig.covariance[1] = 1 numbers", "2 rows of 2 numbers, one for each of rig.parameters"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.rig]\nparameters = [\"a\"]\ncovariance = [[\"1e-6\"]]\n[provenance]",
+            &["provenance.rig.covariance[0][0] = \"1e-6\"", "a number"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.rig]\nvolume_mm = [[0.0, 0.0, 0.0]]\n[provenance]",
+            &["provenance.rig.volume_mm = 1 rows", "2 rows of 3 numbers, lowest and highest corner"],
+        ),
     ];
     for (from, to, expected) in cases {
         let message = read(&changed(from, to)).expect_err(to).to_string();
@@ -577,6 +597,21 @@ fn a_rig_that_is_not_finished_is_shown_as_far_as_it_has_got() {
     let text = shown("after_camera.toml", &after_camera);
     assert!(text.contains("mirrors, walls and views  catoptra calibrate rig"), "{text}");
     assert!(!shown("whole.toml", &whole).contains("still missing"));
+}
+
+#[test]
+fn covariances_may_be_written_without_decimal_points() {
+    let row = |k: usize| format!("[{}]", (0..9).map(|i| if i == k { "4" } else { "0" }).collect::<Vec<_>>().join(", "));
+    let lens = (0..9).map(row).collect::<Vec<_>>().join(", ");
+    let noted = format!(
+        "[provenance.camera]\nlens_covariance = [{lens}]\n[provenance.rig]\nparameters = [\"mirror_offset_m\", \
+         \"wall_offset_m\"]\ncovariance = [[9, 0], [0, 0.25]]\nvolume_mm = [[-10, 0, 5], [10, 20.5, 30]]\n[provenance]"
+    );
+    let draft = Draft::from(read(&changed("[provenance]", &noted)).unwrap());
+    let noted = ["focal_x_px", "k3", "mirror_offset_m", "wall_offset_m", "k4"].map(|name| draft.noted_sd(name));
+    assert_eq!(noted, [Some(2.0), Some(2.0), Some(3.0), Some(0.5), None]);
+    let checked = Draft::from_toml_str(&draft.to_toml_string(), Path::new("again.toml")).unwrap();
+    assert_eq!(checked, draft);
 }
 
 #[test]

@@ -102,32 +102,16 @@ pub(crate) fn share(rig: &Draft, poses: &[CatheterPose]) -> Result<Share, NoShar
 
 /// Parameters of the rig's geometry and their covariance, as recorded by `calibrate rig`.
 pub(crate) fn recorded_geometry(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f64>)> {
-    let table = rig.provenance.get("rig")?;
     let geometry = Geometry::of(rig.camera.lens, &rig.surfaces, &rig.views)?;
     let index = |name: &str| geometry.surfaces.iter().position(|(own, _)| own == name);
     let parameter = |name: &str| Parameter::from_name(name, |surface| index(surface));
-    let names = table.get("parameters")?.as_array()?;
-    let free: Vec<Parameter> = names.iter().map(|name| parameter(name.as_str()?)).collect::<Option<_>>()?;
-    let rows = table.get("covariance")?.as_array()?;
-    let numbers: Vec<f64> =
-        rows.iter().filter_map(toml::Value::as_array).flatten().filter_map(toml::Value::as_float).collect();
-    let size = free.len();
-    let covariance = (numbers.len() == size * size).then(|| DMatrix::from_row_slice(size, size, &numbers))?;
+    let (names, covariance) = rig.rig_covariance()?;
+    let free: Vec<Parameter> = names.into_iter().map(parameter).collect::<Option<_>>()?;
     Some((geometry, free, covariance))
 }
 
-/// The box covered by the boards, as recorded by `calibrate rig`: lowest and highest corner, camera frame, metres.
-pub(crate) fn volume_m(rig: &Draft) -> Option<[Vector3<f64>; 2]> {
-    let corners = rig.provenance.get("rig")?.get("volume_mm")?.as_array()?;
-    let corner = |i: usize| {
-        let numbers: Vec<f64> = corners.get(i)?.as_array()?.iter().filter_map(toml::Value::as_float).collect();
-        Some(Vector3::from(<[f64; 3]>::try_from(numbers).ok()?) * 1e-3)
-    };
-    Some([corner(0)?, corner(1)?])
-}
-
 fn outside_m(rig: &Draft, poses: &[CatheterPose]) -> Option<f64> {
-    let [low, high] = volume_m(rig)?;
+    let [low, high] = rig.boards_volume_m()?;
     let beyond = |place: &Point3<f64>| {
         let below = (low - place.coords).sup(&(place.coords - high));
         below.map(|side| side.max(0.0)).norm()

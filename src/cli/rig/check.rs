@@ -3,7 +3,7 @@
 use super::super::progress::Progress;
 use super::super::run::two_views;
 use super::super::{Exit, Failure, fitting, output};
-use crate::calibrate::rig::share::{CatheterPose, share, volume_m};
+use crate::calibrate::rig::share::{CatheterPose, share};
 use crate::optics::{Surface, Wall};
 use crate::plural::plural;
 use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
@@ -120,7 +120,7 @@ fn describe(out: &mut String, file: &Path, rig: &Draft, checked: &Check) -> fmt:
             meeting.angle_rad.to_degrees()
         )?;
     }
-    if let Some([low, high]) = volume_m(rig) {
+    if let Some([low, high]) = rig.boards_volume_m() {
         let side = |axis: usize| format!("{:.0} to {:.0}", low[axis] * 1e3, high[axis] * 1e3);
         writeln!(
             out,
