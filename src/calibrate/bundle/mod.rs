@@ -368,6 +368,15 @@ impl Solution {
     }
 }
 
+/// σ of a surface's normal, by the tilt that is known less, radians, and of its distance, metres, from the σ of
+/// parameters; `None` for what was fixed.
+pub(crate) fn surface_sd(surface: usize, sd: impl Fn(Parameter) -> Option<f64>) -> (Option<f64>, Option<f64>) {
+    let [a, b, offset_m] = Parameter::of_surface(surface).map(sd);
+    // One that is not a number must not be passed over.
+    let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
+    (a.into_iter().chain(b).reduce(larger), offset_m)
+}
+
 impl From<SearchError<Self>> for NoSolution {
     fn from(error: SearchError<Self>) -> Self {
         match error {
@@ -384,6 +393,24 @@ pub(super) mod tests {
     use crate::calibrate::geometry::tests::geometry;
     use crate::calibrate::tests::gaussian;
     use nalgebra::{Translation3, UnitQuaternion, Vector6};
+
+    #[test]
+    fn a_fixed_parameter_has_no_sd_and_the_worse_tilt_counts() {
+        let of = |a: Option<f64>, b: Option<f64>, offset: Option<f64>| {
+            surface_sd(3, |parameter| match parameter {
+                Parameter::Tilt { surface: 3, axis: 0 } => a,
+                Parameter::Tilt { surface: 3, axis: 1 } => b,
+                Parameter::Offset { surface: 3 } => offset,
+                _ => None,
+            })
+        };
+        assert_eq!(of(Some(0.1), Some(0.3), Some(2.0)), (Some(0.3), Some(2.0)));
+        assert_eq!(of(Some(0.2), None, None), (Some(0.2), None));
+        assert_eq!(of(None, None, Some(0.0)), (None, Some(0.0)));
+        for tilts in [(f64::NAN, 0.1), (0.1, f64::NAN)] {
+            assert!(of(Some(tilts.0), Some(tilts.1), None).0.unwrap().is_nan());
+        }
+    }
 
     /// Twelve small boards in the water, seen directly and in the mirror, and an inaccurate start.
     fn pictures(

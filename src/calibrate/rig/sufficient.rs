@@ -5,9 +5,8 @@
 //! tilted ones). Boards at a single depth are accepted: if tilted, they determine as much as others, here and for a
 //! lens; if not, the covariance shows it.
 
-use crate::calibrate::bundle::Solution;
 use crate::calibrate::bundle::pose::spread_rad;
-use crate::calibrate::geometry::Parameter;
+use crate::calibrate::bundle::{Solution, surface_sd};
 use crate::calibrate::rig::initial::{Initial, Unusable};
 use nalgebra::Vector3;
 
@@ -108,9 +107,11 @@ pub(crate) fn determined(solution: &Solution) -> Result<(), InsufficientPictures
     let depths = || middles.iter().map(|middle| middle.z);
     let depth_m = depths().fold(f64::NEG_INFINITY, f64::max) - depths().fold(f64::INFINITY, f64::min);
     for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate() {
-        let [a, b, offset_m] = Parameter::of_surface(surface).map(|parameter| solution.sd(parameter).unwrap_or(0.0));
-        let tilt_rad = a.max(b);
-        if tilt_rad.is_nan() || offset_m.is_nan() || tilt_rad > MIN_KNOWN.0 || offset_m > MIN_KNOWN.1 * away_m {
+        let (tilt_rad, offset_m) = surface_sd(surface, |parameter| solution.sd(parameter));
+        // What was held fixed is not open.
+        let is_open = |sd: Option<f64>, most: f64| sd.is_some_and(|sd| sd.is_nan() || sd > most);
+        if is_open(tilt_rad, MIN_KNOWN.0) || is_open(offset_m, MIN_KNOWN.1 * away_m) {
+            let [tilt_rad, offset_m] = [tilt_rad, offset_m].map(|sd| sd.unwrap_or(0.0));
             return Err(InsufficientPictures::Open {
                 surface: name.clone(),
                 tilt_deg: tilt_rad.to_degrees(),

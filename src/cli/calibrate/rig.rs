@@ -6,7 +6,7 @@ use super::pictures::{self, SearchedPicture};
 use super::{Length, can_be_written, save};
 use crate::atomic_file;
 use crate::calibrate::board::{Board, BoardPicture, Grey, Rows};
-use crate::calibrate::bundle::NoSolution;
+use crate::calibrate::bundle::{NoSolution, surface_sd};
 use crate::calibrate::geometry::Parameter;
 use crate::calibrate::rig::diagnostics::diagnose;
 use crate::calibrate::rig::expected_error::{Verdict, verdict};
@@ -18,7 +18,7 @@ use crate::calibrate::rig::{
 };
 use crate::report::calibration::{self, CalibrationInfo};
 use crate::rig::Draft;
-use nalgebra::{DMatrix, Point3};
+use nalgebra::Point3;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -313,7 +313,7 @@ pub(super) fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failu
     Ok(RigOptions {
         mirrors: args.mirrors,
         tank,
-        lens_covariance: lens_covariance(draft),
+        lens_covariance: draft.lens_covariance(),
         distances_m: args.distances.iter().map(|d| (d.name.clone(), d.distance_m, d.sd_m)).collect(),
         taped: Vec::new(),
         index_sd: args.fit_index.then_some(INDEX_SD),
@@ -351,15 +351,6 @@ fn shared_pictures(draft: &Draft, searched: &[SearchedPicture]) -> Result<Option
             names.join(", ")
         )
     }))
-}
-
-/// As written by `calibrate camera`.
-fn lens_covariance(draft: &Draft) -> Option<DMatrix<f64>> {
-    let rows = draft.provenance.get("camera")?.get("lens_covariance")?.as_array()?;
-    let numbers: Vec<f64> =
-        rows.iter().filter_map(|row| row.as_array()).flatten().filter_map(toml::Value::as_float).collect();
-    let n = Parameter::of_lens(&draft.camera.lens).len();
-    (numbers.len() == n * n).then(|| DMatrix::from_row_slice(n, n, &numbers))
 }
 
 fn failure(error: RigCalibrationError) -> Failure {
@@ -406,25 +397,26 @@ fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, option
         seen.pictures(),
         pictures::rms(solution.corner_sd_px)
     );
-    let sd = |parameter: Parameter| solution.sd(parameter).unwrap_or(0.0);
-    let by_noise =
-        |parameter: Parameter| solution.sd_in(&solution.noise_covariance, parameter).unwrap_or(0.0).min(sd(parameter));
     for (surface, (name, optics)) in solution.geometry.surfaces.iter().enumerate() {
         let plane = optics.plane();
         let n = plane.normal();
-        let tilts = [0, 1].map(|axis| Parameter::Tilt { surface, axis });
-        let tilt = tilts.map(sd).into_iter().fold(0.0, f64::max).to_degrees();
-        let tilt_by_noise = tilts.map(by_noise).into_iter().fold(0.0, f64::max).to_degrees();
-        let offset = Parameter::Offset { surface };
+        let (tilt, offset) = surface_sd(surface, |parameter| solution.sd(parameter));
+        let (tilt_by_noise, offset_by_noise) = surface_sd(surface, |parameter| {
+            Some(solution.sd_in(&solution.noise_covariance, parameter)?.min(solution.sd(parameter)?))
+        });
+        let degrees = |sd: Option<f64>| sd.map_or("fixed".to_owned(), |sd| format!("{:.3}°", sd.to_degrees()));
+        let mm = |sd: Option<f64>| sd.map_or("fixed".to_owned(), |sd| format!("{:.2}", sd * 1e3));
         let _ = writeln!(
             text,
-            "{name:<12} {:+.5} {:+.5} {:+.5}   {tilt:>6.3}°   {tilt_by_noise:>6.3}°   {:>12.2}  {:>6.2}  {:>8.2}",
+            "{name:<12} {:+.5} {:+.5} {:+.5}   {:>7}   {:>7}   {:>12.2}  {:>6}  {:>8}",
             n.x,
             n.y,
             n.z,
+            degrees(tilt),
+            degrees(tilt_by_noise),
             plane.offset_m() * 1e3,
-            sd(offset) * 1e3,
-            by_noise(offset) * 1e3
+            mm(offset),
+            mm(offset_by_noise)
         );
     }
     if options.lens_covariance.is_none() {
@@ -434,9 +426,9 @@ fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, option
     if options.index_sd.is_some() {
         let _ = writeln!(
             text,
-            "\nindex of the water {:.4} ± {:.4}: it trades off against distances, a thermometer knows it better",
+            "\nindex of the water {:.4} ± {}: it trades off against distances, a thermometer knows it better",
             solution.geometry.value(Parameter::IndexInside),
-            sd(Parameter::IndexInside)
+            solution.sd(Parameter::IndexInside).map_or("fixed".to_owned(), |sd| format!("{sd:.4}"))
         );
     }
     match judged {
