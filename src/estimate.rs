@@ -254,4 +254,13 @@ impl Miss {
             Self::Repeated => "repeated".into(),
         }
     }
+    /// The same in plain words, for people.
+    pub fn plain_words(&self, views: &[&str]) -> String {
+        plain_words(&self.word(views))
+    }
+}
+
+/// The word of a miss ([`Miss::word`]), as read from a table or a log, in plain words.
+pub fn plain_words(word: &str) -> String {
+    word.replace("not_seen_", "not seen in ").replace('_', " ")
 }

@@ -12,9 +12,9 @@
 //! - What it cannot do: wake a source that waits for a camera. An interrupt is seen when the next frame arrives, or
 //!   when the source gives up.
 
-use crate::estimate::Estimate;
+use crate::estimate::{Estimate, plain_words};
 use crate::rig::Rig;
-use crate::sink::{Sink, SinkError, plain_words};
+use crate::sink::{Sink, SinkError};
 use crate::source::{CurrentSample, Frame, FrameSource, SourceError, StreamFaults, Timestamp};
 use crate::tally::{Tally, Totals, missing};
 use crate::track::{TrackError, Tracker};

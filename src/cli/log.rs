@@ -1,9 +1,9 @@
 //! `catoptra log`: inspecting, repairing and converting logs.
 
 use super::{Exit, Failure, convert, output};
+use crate::estimate::plain_words;
 use crate::log::{Condition, Info, LogError, Repaired, repair};
 use crate::plural::plural;
-use crate::sink::plain_words;
 use crate::source::times::seconds;
 use clap::Subcommand;
 use std::fmt::{self, Write as _};

@@ -7,7 +7,7 @@ use super::html::Html;
 use super::page;
 use crate::estimate::Estimate;
 use crate::rig::Rig;
-use crate::sink::{Origin, StillError, Stills, plain_words};
+use crate::sink::{Origin, StillError, Stills};
 use crate::source::{Picture, Window};
 use rayon::prelude::*;
 
@@ -153,7 +153,7 @@ fn result_in_words(estimate: &Estimate, names: &[String], views: &[String]) -> S
         .iter()
         .zip(&estimate.markers)
         .filter_map(|(name, marker)| Some((name, marker.position.as_ref().err()?)))
-        .map(|(name, miss)| format!("{name} {}", plain_words(&miss.word(&views))))
+        .map(|(name, miss)| format!("{name} {}", miss.plain_words(&views)))
         .collect();
     let angle = match (&estimate.deflection, &estimate.tangent) {
         (Ok(d), _) => {

@@ -57,11 +57,6 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The word of a miss ([`crate::estimate::Miss::word`]) in plain words.
-pub fn plain_words(word: &str) -> String {
-    word.replace("not_seen_", "not seen in ").replace('_', " ")
-}
-
 /// Takes the estimates of a run, one camera frame after another.
 pub trait Sink {
     /// Writes one frame. Live runs do not keep the picture: a sink that draws into it cannot be used there.

@@ -3,7 +3,7 @@
 use super::desk::Desk;
 use super::run::{Row, Run};
 use super::{Refusal, Reply, scene, veto};
-use crate::estimate::Miss;
+use crate::estimate::{Miss, plain_words};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -62,7 +62,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
         "sd_deg": theta(|t| t.1),
         "seq": run.rows.iter().map(|row| row.seq).collect::<Vec<_>>(),
         "miss": miss,
-        "reasons": reasons.iter().map(|word| crate::sink::plain_words(word)).collect::<Vec<_>>(),
+        "reasons": reasons.iter().map(|word| plain_words(word)).collect::<Vec<_>>(),
         "gap": run.rows.iter().map(|row| row.gap).collect::<Vec<_>>(),
         "residuals": residuals,
         "alarms": run.alarms.iter().map(alarm).collect::<Vec<_>>(),
@@ -103,7 +103,7 @@ pub(super) fn frame(desk: &Desk, asked: &FrameAsked) -> Result<Reply, Refusal> {
                 .collect();
             let word = row.statuses.get(m).map_or("", String::as_str);
             json!({
-                "name": name, "status": crate::sink::plain_words(word), "ok": word == "ok",
+                "name": name, "status": plain_words(word), "ok": word == "ok",
                 "sd_mm": row.sd_m.get(m).copied().flatten().map(|sd| sd * 1e3), "views": views,
             })
         })
@@ -115,7 +115,7 @@ pub(super) fn frame(desk: &Desk, asked: &FrameAsked) -> Result<Reply, Refusal> {
         "stamp_ns": row.stamp_ns.to_string(),
         "theta_deg": row.theta.map(|t| t.0.to_degrees()),
         "sd_deg": row.theta.map(|t| t.1.to_degrees()),
-        "status": crate::sink::plain_words(&row.word(&run.markers)),
+        "status": plain_words(&row.word(&run.markers)),
         "bands": bands,
         "recording": picture.as_ref().ok().map(|(recording, _)| recording),
         "frame": picture.as_ref().ok().map(|(_, frame)| frame),

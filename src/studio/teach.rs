@@ -285,7 +285,7 @@ pub(super) fn preview(desk: &Desk, form: &Form) -> Result<Reply, Refusal> {
                 "name": marker.name,
                 "located": teaching.located.get(m).and_then(|of| of.get(v)).and_then(Option::as_ref).map(rectangle),
                 "seen": seen.and_then(|seen| seen.as_ref().ok()).map(scene::band),
-                "miss": seen.and_then(|seen| seen.as_ref().err()).map(|miss| miss.word(&names(&rig)).replace('_', " ")),
+                "miss": seen.and_then(|seen| seen.as_ref().err()).map(|miss| miss.plain_words(&names(&rig))),
                 "mask": model.map(|model| markers::mask(&frame.picture, model, reach(view, &rig))),
                 "exposure": colours.and_then(|c| c.exposure.get(m).copied().flatten()).map(|e| exposure(&e)),
                 "separations": colours.map(|c| {
@@ -299,7 +299,7 @@ pub(super) fn preview(desk: &Desk, form: &Form) -> Result<Reply, Refusal> {
     let positions = found.estimate.as_ref().map(|estimate| {
         let of = |m: &crate::estimate::MarkerEstimate| match &m.position {
             Ok(position) => json!({ "sd_mm": position.sd_m() * 1e3 }),
-            Err(miss) => json!({ "miss": miss.word(&names(&rig)).replace('_', " ") }),
+            Err(miss) => json!({ "miss": miss.plain_words(&names(&rig)) }),
         };
         estimate.markers.iter().map(of).collect::<Vec<_>>()
     });

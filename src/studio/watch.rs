@@ -4,7 +4,7 @@ use super::{Refusal, Reply, scene, shown};
 use crate::estimate::Estimate;
 use crate::live::{Latest, RecordSwitch, lower_priority};
 use crate::rig::Rig;
-use crate::sink::{ToBgr, plain_words};
+use crate::sink::ToBgr;
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use nalgebra::Isometry3;
 use serde::Deserialize;
@@ -135,7 +135,7 @@ impl Watch {
             "host_s": row.host.map(|host| host.stamp_ns as f64 * 1e-9),
             "gap": row.gap,
             "theta_deg": row.deflection.as_ref().ok().map(|d| [d.theta_rad, d.theta_sd_rad].map(f64::to_degrees)),
-            "status": row.deflection.as_ref().err().map(|miss| plain_words(&miss.word(&views))),
+            "status": row.deflection.as_ref().err().map(|miss| miss.plain_words(&views)),
             "tip_mm": tip_mm.map(|p| [p.x, p.y, p.z]),
         })
     }

@@ -221,7 +221,7 @@ impl Teaching {
             if (*answered as f64) < MIN_ANSWERED * done.frames as f64 {
                 let reason = done.first_miss[m]
                     .as_ref()
-                    .map_or(String::new(), |miss| format!(" ({})", miss.word(&names).replace('_', " ")));
+                    .map_or(String::new(), |miss| format!(" ({})", miss.plain_words(&names)));
                 let name = self.rig.markers[m].name.clone();
                 return Err(MarkersError::TooSeldom { name, answered: *answered, frames: done.frames, reason });
             }

@@ -190,7 +190,7 @@ fn failure(rig: &Rig, subject: impl std::fmt::Display, error: BaseError) -> Fail
         BaseError::Track(_) | BaseError::Along { .. } | BaseError::NoDirection { .. } => (Exit::Usage, String::new()),
         BaseError::TooFew { miss: Some(miss), .. } => {
             let views: Vec<&str> = rig.views.iter().map(|view| view.name.as_str()).collect();
-            (Exit::Unusable, format!(" (first missed: {})", miss.word(&views).replace('_', " ")))
+            (Exit::Unusable, format!(" (first missed: {})", miss.plain_words(&views)))
         }
         BaseError::TooFew { miss: None, .. }
         | BaseError::Moves { .. }

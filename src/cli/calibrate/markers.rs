@@ -506,7 +506,7 @@ fn describe_bands(rig: &Rig, learned: &MarkersCalibration) -> String {
             learned.centre_sd_m[m].map_or(String::new(), |sd| format!(", {:.2} mm σ from the one before", sd * 1e3));
         let centre = marker.centre_m.map_or("unknown".into(), |c| format!("{:.2} mm{sd}", c * 1e3));
         let missed = learned.first_miss[m].as_ref();
-        let missed = missed.map_or(String::new(), |m| format!("   (missed: {})", m.word(&names).replace('_', " ")));
+        let missed = missed.map_or(String::new(), |m| format!("   (missed: {})", m.plain_words(&names)));
         let _ = writeln!(
             text,
             "{:<10} {:>4}/{:<4}   {:>3.0} {:>3.0} {:>3.0}     {centre}{missed}",

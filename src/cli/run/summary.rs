@@ -1,11 +1,11 @@
 //! The summary of a run: a table of plain text.
 
 use super::folder::Files;
+use crate::estimate::plain_words;
 use crate::log::is_log;
 use crate::pipeline::Summary;
 use crate::plural::plural;
 use crate::rig::Rig;
-use crate::sink::plain_words;
 use crate::source::times::seconds;
 use crate::tally::budget::together;
 use crate::tally::{AlarmInWords, MISSING_OF_LOG, Tally, TickTally};

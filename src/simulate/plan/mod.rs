@@ -231,8 +231,7 @@ fn planned(
 /// What the tracker says of its own errors.
 fn stated_noise(rig: &Rig, estimate: &Estimate) -> Result<Noise, String> {
     let views: Vec<&str> = rig.views.iter().map(|view| view.name.as_str()).collect();
-    let missed =
-        |marker: &str, miss: &crate::estimate::Miss| format!("{marker}: {}", miss.word(&views).replace('_', " "));
+    let missed = |marker: &str, miss: &crate::estimate::Miss| format!("{marker}: {}", miss.plain_words(&views));
     let places = rig.markers.iter().zip(&estimate.markers).map(|(marker, own)| {
         own.position.as_ref().map(crate::estimate::Position::sd_m).map_err(|miss| missed(&marker.name, miss))
     });

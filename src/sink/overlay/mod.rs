@@ -106,7 +106,7 @@ impl OverlaySink {
     fn missing(&self, estimate: &Estimate) -> Vec<String> {
         let views = self.scene.view_names();
         let say = |what: &str, miss: &crate::estimate::Miss| {
-            let why = super::plain_words(&miss.word(&views));
+            let why = miss.plain_words(&views);
             format!("{what}: {why}")
         };
         let markers = estimate.markers.iter().enumerate();
