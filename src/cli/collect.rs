@@ -6,7 +6,6 @@ use super::{Exit, Failure, interrupt, output, provenance};
 use crate::archive::Outcome;
 use crate::archive::study::{Study, StudyError};
 use crate::archive::unusual::unusual_runs;
-use crate::atomic_file;
 use crate::plural::plural;
 use crate::report::study;
 use std::fmt::Write as _;
@@ -65,8 +64,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let unusual = unusual_runs(&study);
     let title = args.out.file_name().map_or_else(|| "study".into(), |name| name.to_string_lossy().into_owned());
     let page = study::page(&study, &unusual, &args.out, &title, &provenance::of_this_run());
-    let place = args.out.join(REPORT);
-    atomic_file::write(&place, page.as_bytes()).map_err(|e| cannot(&place, e))?;
+    output::save(&args.out.join(REPORT), &page)?;
     // 3. text
     if !quiet {
         output::print(&summary(&study, frames, unusual.len(), &args.out))?;
@@ -76,10 +74,6 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         1 => Err(Failure::new(Exit::Failed, "1 run cannot be read, and is left out")),
         n => Err(Failure::new(Exit::Failed, format!("{n} runs cannot be read, and are left out"))),
     }
-}
-
-fn cannot(place: &Path, error: std::io::Error) -> Failure {
-    Failure::because(Exit::Failed, format!("{}: cannot be written: {error}", place.display()), error)
 }
 
 fn failure(error: StudyError) -> Failure {

@@ -66,10 +66,14 @@ impl Outcome {
     }
 
     /// Sets the results; `results` is called only if they are needed.
-    pub(super) fn found(&self, results: impl FnOnce() -> Value) {
+    ///
+    /// # Errors
+    /// When there are none, although they are needed.
+    pub(super) fn found(&self, results: impl FnOnce() -> Result<Value, Failure>) -> Result<(), Failure> {
         if self.json {
-            *lock(&self.results) = results();
+            *lock(&self.results) = results()?;
         }
+        Ok(())
     }
 }
 

@@ -41,5 +41,5 @@ pub(super) fn is_free_for_page(path: &Path) -> Result<(), Failure> {
 /// Writes a file in one step.
 pub(super) fn save(path: &Path, text: &str) -> Result<(), Failure> {
     atomic_file::write(path, text.as_bytes())
-        .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
+        .map_err(|e| Failure::because(Exit::Failed, format!("{}: cannot be written: {e}", path.display()), e))
 }

@@ -3,8 +3,7 @@
 use super::outcome::{self, Json, Outcome};
 use super::results::{Results, unfinished};
 use super::units::{duration_s, seconds_ns};
-use super::{Exit, Failure, interrupt, provenance};
-use crate::atomic_file;
+use super::{Exit, Failure, interrupt, output, provenance};
 use crate::identify::Plant;
 use crate::identify::saved::Saved;
 use crate::plural::plural;
@@ -126,8 +125,9 @@ fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
     }
     // 3. the files
     let line = saved.as_ref().and_then(|saved| model_line(saved, plant, &validation));
-    args.write(&validation, line.as_ref())?;
-    outcome.found(|| validation.json().ok().and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default());
+    let json = validation.json().map_err(|e| cannot_be_written(&args.out, e))?;
+    args.write(&validation, &json, line.as_ref())?;
+    outcome.found(|| serde_json::from_str(&json).map_err(|e| cannot_be_written(&args.out.join(RESULT), e)))?;
     outcome.print(&summary(&validation, &args.out))
 }
 
@@ -176,22 +176,18 @@ impl Args {
         }
     }
 
-    fn write(&self, validation: &Validation, line: Option<&ModelLine>) -> Result<(), Failure> {
+    fn write(&self, validation: &Validation, json: &str, line: Option<&ModelLine>) -> Result<(), Failure> {
         let folder = &self.out;
-        let cannot = |what: &Path, why: String| {
-            Failure::new(Exit::Failed, format!("{}: cannot be written: {why}", what.display()))
-        };
         self.results().take()?;
         let save = |name: &str, text: &str| -> Result<(), Failure> {
             let place = folder.join(name);
-            atomic_file::write(&place, text.as_bytes()).map_err(|e| cannot(&place, e.to_string()))?;
+            output::save(&place, text)?;
             outcome::wrote(&place);
             Ok(())
         };
-        let table = validation.csv().map_err(|e| cannot(folder, e.to_string()))?;
-        let json = validation.json().map_err(|e| cannot(folder, e.to_string()))?;
+        let table = validation.csv().map_err(|e| cannot_be_written(folder, e))?;
         save(TABLE, &table)?;
-        save(RESULT, &json)?;
+        save(RESULT, json)?;
         save(TABLE_2, &validation.table())?;
         save(REPORT, &validation::page(validation, &self.settings(), line))?;
         let names = Self::tables_of_points(validation.runs.iter().map(|run| run.pause_s));
@@ -222,6 +218,10 @@ fn model_line(saved: &Saved, plant: Option<Plant>, validation: &Validation) -> O
     let weight = plant.map_or(0.0, |plant| plant.weight_torque_nm);
     let response = |f: f64| model.response(f).map(|h| h / (h * weight + 1.0));
     Some(ModelLine::of(format!("{}, {}", saved.name, model.title), validation, response))
+}
+
+fn cannot_be_written(place: &Path, error: impl std::error::Error + Send + Sync + 'static) -> Failure {
+    Failure::because(Exit::Failed, format!("{}: cannot be written: {error}", place.display()), error)
 }
 
 fn failure(error: ValidateError) -> Failure {

@@ -1,9 +1,8 @@
 //! `catoptra calibrate markers`: a recording and a click near each band to colours and places of the bands.
 
 use super::super::units::duration_s;
-use super::super::{Exit, Failure, fitting, interrupt, outcome};
-use super::{Length, can_be_written, save};
-use crate::atomic_file;
+use super::super::{Exit, Failure, fitting};
+use super::{Length, can_be_written, save, save_page};
 use crate::calibrate::markers::{
     MarkersCalibration, MarkersError, MarkersOptions, Pick, ProposedRegion, Teaching, Verdict, calibrate_markers,
     verdict,
@@ -172,19 +171,11 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
         tracing::warn!("{warning}");
     }
     let written = save(&done.rig.into(), out)?;
-    let mut written = format!("\n{written}\n");
+    print(&format!("\n{written}\n"))?;
     if let Some(page) = page {
         save_page(&page, &page_path)?;
-        let _ = writeln!(written, "         {} (what was learned, for a browser)", page_path.display());
+        print(&format!("         {} (what was learned, for a browser)\n", page_path.display()))?;
     }
-    print(&written)
-}
-
-fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
-    let _whole = interrupt::wait();
-    atomic_file::write(path, page.as_bytes())
-        .map_err(|e| Failure::new(Exit::Failed, format!("{} cannot be written: {e}", path.display())))?;
-    outcome::wrote(path);
     Ok(())
 }
 

@@ -9,7 +9,7 @@ mod rig;
 
 use super::outcome::{self, HiddenJson, Outcome};
 use super::results::may_write_in;
-use super::{Exit, Failure, interrupt};
+use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::length_m;
 use crate::calibrate::rig::RigOptions;
 use crate::rig::{Draft, Rig};
@@ -101,8 +101,14 @@ fn calibrate(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure>
     };
     if ended.is_ok() {
         // As it is now, with the provenance of every number.
-        let read = || std::fs::read_to_string(rig).ok()?.parse::<toml::Table>().ok();
-        outcome.found(|| read().and_then(|rig| serde_json::to_value(rig).ok()).unwrap_or_default());
+        let cannot = |why: &dyn std::fmt::Display| {
+            Failure::new(Exit::Failed, format!("{}: cannot be read again: {why}", rig.display()))
+        };
+        outcome.found(|| {
+            let text = std::fs::read_to_string(rig).map_err(|e| cannot(&e))?;
+            let rig: toml::Table = text.parse().map_err(|e| cannot(&e))?;
+            serde_json::to_value(rig).map_err(|e| cannot(&e))
+        })?;
     }
     ended
 }
@@ -159,22 +165,11 @@ impl FromStr for Length {
 
 /// Checks before any work that the file can be written and would replace only a rig.
 pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
-    let refused = |what: &str| Err(Failure::usage(format!("{}: {what}", out.display())));
-    let folder = out.parent().filter(|folder| *folder != Path::new(""));
-    if folder.is_some_and(|folder| !folder.is_dir()) {
-        return refused("there is no such folder to write the rig to");
-    }
-    if out.is_dir() {
-        return refused("is a folder; give the name of the rig file to write");
-    }
-    if let Err(why) = may_write_in(folder.unwrap_or(Path::new("."))) {
-        return Err(Failure::new(Exit::Failed, format!("{}: cannot be written: {why}", out.display())));
-    }
-    let is_rig = |text: String| text.parse::<toml::Table>().is_ok_and(|t| t.is_empty() || t.contains_key("camera"));
-    if out.exists() && !std::fs::read_to_string(out).is_ok_and(is_rig) {
-        return refused("exists and is not a rig file; choose another name with --out");
-    }
-    Ok(())
+    let is_rig = |text: &str| text.parse::<toml::Table>().is_ok_and(|t| t.is_empty() || t.contains_key("camera"));
+    output::is_free(out, is_rig, "a rig file")?;
+    let folder = out.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    may_write_in(folder)
+        .map_err(|e| Failure::because(Exit::Failed, format!("{}: cannot be written: {e}", out.display()), e))
 }
 
 /// Writes the rig, keeping a different one that was there as a backup; returns what was written, in words.
@@ -184,6 +179,14 @@ pub(super) fn save(rig: &Draft, path: &Path) -> Result<String, Failure> {
     outcome::wrote(path);
     let kept = kept_as.map_or(String::new(), |name| format!("\n         {} (the rig as it was)", name.display()));
     Ok(format!("written: {}{kept}", path.display()))
+}
+
+/// Writes a page beside the rig.
+fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
+    let _whole = interrupt::wait();
+    output::save(path, page)?;
+    outcome::wrote(path);
+    Ok(())
 }
 
 /// What a new lens removes from a rig, in words.

@@ -1,10 +1,9 @@
 //! `catoptra calibrate rig`: pictures of a board in a mirror to mirrors, walls and views.
 
 use super::super::progress::during;
-use super::super::{Exit, Failure, interrupt, outcome, provenance};
+use super::super::{Exit, Failure, provenance};
 use super::pictures::{self, SearchedPicture};
-use super::{Length, can_be_written, save};
-use crate::atomic_file;
+use super::{Length, can_be_written, save, save_page};
 use crate::calibrate::board::{Board, BoardPicture, Grey, Rows};
 use crate::calibrate::bundle::{NoSolution, surface_sd};
 use crate::calibrate::geometry::Parameter;
@@ -160,9 +159,10 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     let mut rig = into_draft(draft, &done);
     rig.provenance.insert("rig".into(), provenance(&seen, &done, judged.as_ref(), doubts)?.into());
     let written = save(&rig, out)?;
+    print(&format!("\n{written}\n"))?;
     let page_path = out.with_extension("calibration.html");
     save_page(&page, &page_path)?;
-    print(&format!("\n{written}\n         {} (how good it is, for a browser)\n", page_path.display()))
+    print(&format!("         {} (how good it is, for a browser)\n", page_path.display()))
 }
 
 /// The data that the rig is calibrated from.
@@ -237,14 +237,6 @@ fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) ->
         })
         .collect();
     Ok(Seen::Boards { board, searched, found })
-}
-
-fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
-    let _whole = interrupt::wait();
-    atomic_file::write(path, page.as_bytes())
-        .map_err(|e| Failure::new(Exit::Failed, format!("the rig is written, {} cannot be: {e}", path.display())))?;
-    outcome::wrote(path);
-    Ok(())
 }
 
 /// Information about the run for the page.

@@ -1,9 +1,9 @@
 //! `catoptra identify --model`: a saved model on other records.
 
 use super::args::{Args, REPORT};
-use super::{report_files, write_file};
+use super::report_files;
 use crate::cli::outcome::Outcome;
-use crate::cli::{Exit, Failure, interrupt};
+use crate::cli::{Exit, Failure, interrupt, output};
 use crate::identify::applied::{Applied, apply};
 use crate::identify::data::Data;
 use crate::identify::export;
@@ -36,11 +36,11 @@ pub(super) fn run(
         let mut written = export::write_applied(&args.out, data, &done, &saved, provenance)
             .map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join(REPORT);
-        write_file(&page, identification::applied_page(data, &done, &saved, provenance).as_bytes())?;
+        output::save(&page, &identification::applied_page(data, &done, &saved, provenance))?;
         written.push(page);
         written
     };
-    report_files(outcome, &written);
+    report_files(outcome, &written)?;
     outcome.print(&summary(&done, &saved, provenance, &written))
 }
 

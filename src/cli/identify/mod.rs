@@ -9,15 +9,14 @@ mod words;
 
 pub(crate) use args::Args;
 
-use super::{Exit, Failure, interrupt};
-use crate::atomic_file;
+use super::{Exit, Failure, interrupt, output};
 use crate::cli::outcome::{self, Outcome};
 use crate::cli::progress::Stages;
 use crate::identify::chain::identify_with_progress;
 use crate::identify::data::Data;
 use crate::identify::{IdentifyError, export};
 use crate::report::identification;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
@@ -53,13 +52,13 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
         let mut written =
             export::write(&args.out, &data, &done, &provenance).map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join(args::REPORT);
-        write_file(&page, identification::page(&data, &done, &provenance).as_bytes())?;
+        output::save(&page, &identification::page(&data, &done, &provenance))?;
         written.push(page);
         written
     };
     drop(stages);
     // 4. text
-    report_files(outcome, &written);
+    report_files(outcome, &written)?;
     outcome.print(&words::summary(&data, &done, &provenance, &written))?;
     if done.models.iter().any(|m| m.role == crate::identify::modelled::Role::Full && !m.is_stable()) {
         let text = "the model of full order is unstable: what was written describes it and is not to be relied on";
@@ -69,16 +68,16 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
 }
 
 /// Reports files and model, for programs.
-fn report_files(outcome: &Outcome, written: &[PathBuf]) {
+fn report_files(outcome: &Outcome, written: &[PathBuf]) -> Result<(), Failure> {
     written.iter().for_each(|path| outcome::wrote(path));
-    let model = written.iter().find(|path| path.ends_with("model.json"));
-    let read = |path: &PathBuf| serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok();
-    outcome.found(|| model.and_then(read).unwrap_or_default());
-}
-
-fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    atomic_file::write(path, bytes)
-        .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", path.display())))
+    let Some(model) = written.iter().find(|path| path.ends_with("model.json")) else { return Ok(()) };
+    let cannot = |why: &dyn std::fmt::Display| {
+        Failure::new(Exit::Failed, format!("{}: cannot be read again: {why}", model.display()))
+    };
+    outcome.found(|| {
+        let text = std::fs::read_to_string(model).map_err(|e| cannot(&e))?;
+        serde_json::from_str(&text).map_err(|e| cannot(&e))
+    })
 }
 
 /// A failure that names its records.

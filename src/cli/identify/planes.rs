@@ -2,9 +2,8 @@
 
 use super::args::{Args, DelayArg};
 use super::records::{self, Driven};
-use super::write_file;
 use crate::cli::outcome::Outcome;
-use crate::cli::{Exit, Failure, interrupt};
+use crate::cli::{Exit, Failure, interrupt, output};
 use crate::identify::planes::{Motion, OUTPUTS, Planes, PlanesError, Settings, identify, moving};
 use crate::plural::plural;
 use crate::report::planes as page;
@@ -47,13 +46,13 @@ pub(super) fn run(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
         let mut written = Vec::new();
         for (name, text) in FILES.iter().zip(&texts) {
             written.push(args.out.join(name));
-            write_file(&args.out.join(name), text.as_bytes())?;
+            output::save(&args.out.join(name), text)?;
         }
         written.push(args.out.join(super::args::REPORT));
-        write_file(&args.out.join(super::args::REPORT), page::page(&found, &coils, &all).as_bytes())?;
+        output::save(&args.out.join(super::args::REPORT), &page::page(&found, &coils, &all))?;
         written
     };
-    super::report_files(outcome, &written);
+    super::report_files(outcome, &written)?;
     outcome.print(&words(&found, &coils, &args.out))
 }
 

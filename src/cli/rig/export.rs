@@ -1,6 +1,6 @@
 //! `catoptra rig export`: the camera, or views, for other tools.
 
-use super::{Exit, Failure, output};
+use super::{Failure, output};
 use crate::rig::Draft;
 use crate::rig::formats::{Format, dlt};
 use std::path::PathBuf;
@@ -68,8 +68,7 @@ pub(super) fn run(
             if same(out, &args.rig) {
                 return Err(Failure::usage(format!("{} is the rig itself; give another -o", out.display())));
             }
-            std::fs::write(out, &text)
-                .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", out.display())))?;
+            output::save(out, &text)?;
             print(&format!("written: {}, {}\n", out.display(), described(&rig, format, view)))?;
         }
         None => output::print(&text)?,

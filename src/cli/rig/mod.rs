@@ -4,7 +4,7 @@ mod check;
 mod export;
 mod import;
 
-use super::{Exit, Failure, output};
+use super::{Failure, output};
 use std::io::Write as _;
 use std::path::PathBuf;
 
