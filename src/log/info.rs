@@ -2,12 +2,12 @@
 
 use super::LogError;
 use super::decoder::MessageDecoder;
-use super::fields::{number, text};
+use super::fields::{list, number, text, whole, word};
 use super::is_being_written;
 use super::records::{self, Condition};
 use super::schema::Topic;
 use mcap::records::Record;
-use prost_reflect::{DynamicMessage, Value};
+use prost_reflect::DynamicMessage;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -92,10 +92,10 @@ impl Info {
         if ours { Ok(info) } else { Err(LogError::NotOurs { path: path.to_owned() }) }
     }
 
+    /// Counts a frame, unless it has no time.
     fn add(&mut self, estimate: &DynamicMessage, last: &mut Option<(u64, i64)>) {
-        let seq = number(estimate, "seq").and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
-        let stamp_ns = number(estimate, "stamp_ns").unwrap_or(0);
-        let gap = number(estimate, "gap").and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
+        let Some(stamp_ns) = number(estimate, "stamp_ns") else { return };
+        let (seq, gap) = (whole(estimate, "seq"), whole(estimate, "gap"));
         if self.frames == 0 {
             self.clock = text(estimate, "clock");
         }
@@ -110,20 +110,15 @@ impl Info {
             self.not_later += u64::from(stamp_ns <= last_ns);
         }
         *last = Some((seq, stamp_ns));
-        if let Some(markers) = estimate.get_field_by_name("markers").as_deref().and_then(Value::as_list) {
-            for marker in markers.iter().filter_map(Value::as_message) {
-                let name = text(marker, "name").unwrap_or_default();
-                self.miss(name, marker, "status");
-            }
+        for marker in list(estimate, "markers") {
+            self.miss(text(&marker, "name").unwrap_or_default(), &marker, "status");
         }
         self.miss("tangent".to_owned(), estimate, "tangent_status");
         self.miss("deflection".to_owned(), estimate, "deflection_status");
     }
 
     fn miss(&mut self, what: String, message: &DynamicMessage, field: &str) {
-        let status = message.get_field_by_name(field);
-        let word = status.as_deref().and_then(Value::as_message).and_then(|status| text(status, "word"));
-        if let Some(word) = word.filter(|word| word != "ok") {
+        if let Some(word) = word(message, field).filter(|word| word != "ok") {
             *self.misses.entry((what, word)).or_default() += 1;
         }
     }

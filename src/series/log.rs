@@ -60,20 +60,26 @@ impl Reader {
                 if !is_estimate && topic != Topic::Current.name() {
                     return;
                 }
-                match (is_estimate, self.decoder.decode(header.channel_id, data.as_ref())) {
-                    (true, Ok(message)) => self.estimate(&message),
-                    (false, Ok(message)) => self.currents.push(current(&message)),
-                    (_, Err(error)) => {
-                        let what = format!("message {} cannot be decoded ({error}) and is left out", header.sequence);
-                        self.undecoded.get_or_insert(what);
+                let decoded = self.decoder.decode(header.channel_id, data.as_ref());
+                let taken = decoded.and_then(|message| match is_estimate {
+                    true => self.estimate(&message).ok_or_else(|| "it has no time".to_owned()),
+                    false => {
+                        self.currents.push(current(&message));
+                        Ok(())
                     }
+                });
+                if let Err(why) = taken {
+                    let what = format!("message {} cannot be decoded ({why}) and is left out", header.sequence);
+                    self.undecoded.get_or_insert(what);
                 }
             }
             other => self.decoder.learn(other),
         }
     }
 
-    fn estimate(&mut self, message: &DynamicMessage) {
+    /// A frame; `None` when it has no time.
+    fn estimate(&mut self, message: &DynamicMessage) -> Option<()> {
+        let stamp_ns = number(message, "stamp_ns")?;
         let markers = list(message, "markers");
         let angles = inner(message, "deflection");
         let tangent = inner(message, "tangent");
@@ -86,7 +92,7 @@ impl Reader {
         }
         self.frames.push(Frame {
             seq: whole(message, "seq"),
-            stamp_ns: number(message, "stamp_ns").unwrap_or(0),
+            stamp_ns,
             host_ns: optional_number(message, "host_stamp_ns"),
             gap: whole(message, "gap"),
             theta_rad: angles.as_ref().and_then(|angles| float(angles, "theta_rad")),
@@ -100,6 +106,7 @@ impl Reader {
             tangent_sd_rad: tangent.as_ref().and_then(|tangent| float(tangent, "sd_rad")),
             tick: optional_number(message, "tick").and_then(|tick| u64::try_from(tick).ok()),
         });
+        Some(())
     }
 }
 

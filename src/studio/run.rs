@@ -189,7 +189,9 @@ impl Run {
         Ok(())
     }
 
+    /// A row, unless it has no time.
     fn estimate(&mut self, message: &DynamicMessage) {
+        let Some(stamp_ns) = number(message, "stamp_ns") else { return };
         let markers = list(message, "markers");
         if self.rows.is_empty() {
             self.markers = markers.iter().map(|m| text(m, "name").unwrap_or_default()).collect();
@@ -200,7 +202,7 @@ impl Run {
         let position = |m: &DynamicMessage| inner(m, "position");
         self.rows.push(Row {
             seq: whole(message, "seq"),
-            stamp_ns: number(message, "stamp_ns").unwrap_or(0),
+            stamp_ns,
             gap: whole(message, "gap"),
             theta: angles.and_then(|angles| Some((float(&angles, "theta_rad")?, float(&angles, "theta_sd_rad")?))),
             theta_status: word(message, "deflection_status").unwrap_or_default(),

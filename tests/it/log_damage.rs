@@ -245,6 +245,52 @@ fn a_changed_bit_in_a_schema_is_no_panic_and_names_do_not_steer_the_terminal() {
 }
 
 #[test]
+fn a_row_without_a_time_is_left_out_and_is_not_at_time_0() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(run(folder.path())).unwrap();
+    let timeless = folder.path().join("timeless.mcap");
+    let mut writer = Writer::new(std::fs::File::create(&timeless).unwrap()).unwrap();
+    let rows: Vec<_> = mcap::MessageStream::new(&bytes)
+        .unwrap()
+        .map(Result::unwrap)
+        .filter(|message| message.channel.topic == "/catheter/estimate")
+        .take(5)
+        .collect();
+    let schema = rows[0].channel.schema.clone().unwrap();
+    // Of another version: its time has another name.
+    let mut data = schema.data.to_vec();
+    let mut renamed = 0;
+    for at in 0..data.len() - 8 {
+        if &data[at..at + 8] == b"stamp_ns" {
+            data[at..at + 8].copy_from_slice(b"stamp_us");
+            renamed += 1;
+        }
+    }
+    assert!(renamed > 0);
+    for (schema_data, from, to) in [(data, 0, 2), (schema.data.to_vec(), 2, 5)] {
+        let id = writer.add_schema(&schema.name, &schema.encoding, &schema_data).unwrap();
+        let channel = writer.add_channel(id, "/catheter/estimate", "protobuf", &Default::default()).unwrap();
+        for (row, sequence) in rows[from..to].iter().zip(from..) {
+            let header = mcap::records::MessageHeader {
+                channel_id: channel,
+                sequence: sequence as u32,
+                log_time: row.log_time,
+                publish_time: row.publish_time,
+            };
+            writer.write_to_known_channel(&header, &row.data).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    let info = Info::read(&timeless).unwrap();
+    assert_eq!((info.frames, info.not_later), (3, 0));
+    assert!(info.span_ns.unwrap().0 > 0);
+    let series = Recording::read(&timeless).unwrap();
+    assert_eq!(series.frames.iter().map(|frame| frame.seq).collect::<Vec<_>>(), [2, 3, 4]);
+    let cut = series.cut.unwrap();
+    assert!(cut.contains("message 0 cannot be decoded (it has no time) and is left out"), "{cut}");
+}
+
+#[test]
 fn a_damaged_window_costs_its_frame_and_no_other() {
     let place = Place::new();
     ended_with(&place.track(&sample("planar.mkv"), &["--to", "2", "--record", "windows"]), 0);
