@@ -5,6 +5,7 @@ use super::course::Course;
 use super::html::escape;
 use super::timeline::Bin;
 use crate::estimate::plain_words;
+use crate::plural::plural;
 use crate::sink::Rgb;
 use plotly::common::{Anchor, Line, Marker, MarkerSymbol, Mode};
 use plotly::layout::{Annotation, HoverMode, Margin};
@@ -102,7 +103,7 @@ fn misses(bins: &[Bin], number: usize) -> Vec<Bar> {
         let count = bin.misses.get(number).copied().unwrap_or(0);
         if count > 0 {
             let (from_s, to_s) = (bin.from_s - half_s, bin.to_s + half_s);
-            let text = |n: u32| format!("{n} frame{}", if n == 1 { "" } else { "s" });
+            let text = |n: u32| plural(n, "frame");
             match bars.last_mut() {
                 Some(bar) if joins && bin.lost_before == 0 => {
                     frames += count;

@@ -7,6 +7,7 @@ use crate::calibrate::markers::{
     MarkersCalibration, MarkersError, MarkersOptions, Pick, ProposedRegion, Teaching, Verdict, calibrate_markers,
     verdict,
 };
+use crate::plural::plural;
 use crate::report::teaching::{self, TeachingInfo};
 use crate::rig::{Catheter, Draft, Marker, Rig, View, longest_stiff_m};
 use crate::source::{FrameRate, SourceOptions};
@@ -476,7 +477,7 @@ fn warnings(done: &Teaching) -> Vec<String> {
 
 fn proposal(rig: &Rig, region: &ProposedRegion) -> String {
     let view = rig.views.get(region.view).map_or("", |v| v.name.as_str());
-    let things = if region.leaves_out == 1 { "1 thing".to_owned() } else { format!("{} things", region.leaves_out) };
+    let things = plural(region.leaves_out, "thing");
     format!(
         "{things} of the bands' colours in view `{view}` can be left out: --region {view}:{},{}-{},{} holds all that \
          the tube can reach",
@@ -486,9 +487,8 @@ fn proposal(rig: &Rig, region: &ProposedRegion) -> String {
 
 fn describe_bands(rig: &Rig, learned: &MarkersCalibration) -> String {
     let mut text = format!(
-        "{} frame{} looked at\n\nmarker     measured   colour R'G'B'   middle along the tube\n",
-        learned.frames,
-        if learned.frames == 1 { "" } else { "s" }
+        "{} looked at\n\nmarker     measured   colour R'G'B'   middle along the tube\n",
+        plural(learned.frames, "frame")
     );
     let names: Vec<&str> = rig.views.iter().map(|v| v.name.as_str()).collect();
     for (m, marker) in rig.markers.iter().enumerate() {

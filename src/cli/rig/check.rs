@@ -166,7 +166,7 @@ fn describe(out: &mut String, file: &Path, rig: &Draft, checked: &Check) -> fmt:
     match checked.warnings.len() {
         0 => writeln!(out, "\nno warnings"),
         n => {
-            writeln!(out, "\n{n} warning{}", if n == 1 { "" } else { "s" })?;
+            writeln!(out, "\n{}", plural(n, "warning"))?;
             checked.warnings.iter().try_for_each(|warning| writeln!(out, "  - {warning}"))
         }
     }

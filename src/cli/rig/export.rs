@@ -1,6 +1,7 @@
 //! `catoptra rig export`: the camera, or views, for other tools.
 
 use super::{Failure, output};
+use crate::plural::plural;
 use crate::rig::Draft;
 use crate::rig::formats::{Format, dlt};
 use std::path::PathBuf;
@@ -85,7 +86,7 @@ fn described(rig: &Draft, format: Option<Format>, view: Option<&str>) -> String 
         Some(format) => format!("the camera as {format}"),
         None => {
             let count = if view.is_some() { 1 } else { rig.views.len() };
-            format!("DLT coefficients of {count} view{}", if count == 1 { "" } else { "s" })
+            format!("DLT coefficients of {}", plural(count, "view"))
         }
     }
 }

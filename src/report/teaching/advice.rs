@@ -1,6 +1,7 @@
 //! What would help most, in words.
 
 use crate::calibrate::markers::{SeenBlob, Teaching, Verdict, verdict};
+use crate::plural::plural;
 
 /// Most other colours named for a band.
 const MAX_NAMED: usize = 3;
@@ -54,7 +55,7 @@ pub(super) fn advice(done: &Teaching) -> Vec<String> {
             region.from.y,
             region.to.x,
             region.to.y,
-            if region.leaves_out == 1 { "one thing".to_owned() } else { format!("{} things", region.leaves_out) }
+            plural(region.leaves_out, "thing")
         ));
     }
     // Objects outside a region need not be covered.

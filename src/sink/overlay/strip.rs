@@ -2,6 +2,7 @@
 
 use super::pen::{Anchor, Canvas};
 use crate::estimate::Estimate;
+use crate::plural::plural;
 use crate::sink::palette::{Palette, Rgb};
 use nalgebra::Point2;
 use opencv::Result;
@@ -91,8 +92,7 @@ pub(super) fn numbers(
     fit(row(60.0), &format!("t {t_s:.4} s   frame {}", estimate.seq), 12.0, QUIET)?;
     let mut notes = Vec::new();
     if estimate.gap > 0 {
-        let frames = if estimate.gap == 1 { "frame" } else { "frames" };
-        notes.push((format!("{} {frames} lost before this", estimate.gap), PALETTE.gap));
+        notes.push((format!("{} lost before this", plural(estimate.gap, "frame")), PALETTE.gap));
     }
     notes.extend(missing.iter().map(|m| (m.clone(), PALETTE.miss)));
     for (k, (note, colour)) in notes.iter().take(5).enumerate() {
