@@ -293,7 +293,7 @@ fn a_picture_that_was_given_before_counts_once_whatever_its_name() {
 fn flipped_pictures_are_told_where_they_contradict_others() {
     let flip = |i: usize, p: DynamicImage| if i.is_multiple_of(2) { p.fliph() } else { p };
     let set = Set::changed("mirror", &[0, 1, 2, 3, 4, 5], flip);
-    let parts = ["in 3 of 6 pictures the mirror stands otherwise than in the rest", "flipped by the camera's software"];
+    let parts = ["in 3 of 6 pictures the mirror is not where it is in the others", "flipped by the camera's software"];
     set.refused(&set.rig(&["set"], &[]), 3, &parts);
     // One of many is left out by name.
     let set = Set::changed("mirror", &[0, 1, 2, 3, 4], |i, p| if i == 1 { p.fliph() } else { p });

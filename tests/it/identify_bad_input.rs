@@ -284,11 +284,11 @@ fn what_was_fitted_is_no_judge() {
     assert!(code == 0 && message.contains("--train and --test share samples 150 to 199"), "{message}");
     let (code, message) =
         identify(folder, &[&["good.csv", "-o", "result"], &COLUMNS, &SECOND, &["--validate", "good.csv"]]);
-    assert!(code == 0 && message.contains("good.csv: is fitted and judged by"), "{message}");
+    assert!(code == 0 && message.contains("good.csv is used both to fit and to validate"), "{message}");
     fs::copy(folder.join("good.csv"), folder.join("copy.csv")).unwrap();
     let (code, message) =
         identify(folder, &[&["good.csv", "-o", "result"], &COLUMNS, &SECOND, &["--validate", "copy.csv"]]);
-    assert!(code == 0 && message.contains("copy.csv: is fitted and judged by"), "{message}");
+    assert!(code == 0 && message.contains("copy.csv is used both to fit and to validate"), "{message}");
     let (code, message) = identify(folder, &[&["good.csv", "copy.csv"], &COLUMNS, &SECOND, &["-o", "twice"]]);
     assert!(code == 2 && message.contains("copy.csv: holds the samples of good.csv"), "{message}");
 }

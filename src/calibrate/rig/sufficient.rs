@@ -8,6 +8,7 @@
 use crate::calibrate::bundle::pose::spread_rad;
 use crate::calibrate::bundle::{Solution, surface_sd};
 use crate::calibrate::rig::initial::{Initial, Unusable};
+use crate::plural::plural;
 use nalgebra::Vector3;
 
 /// Fewest pictures of the board in each mirror: one alone has nothing to check it against.
@@ -26,7 +27,7 @@ const MIN_KNOWN: (f64, f64) = (3.0 * std::f64::consts::PI / 180.0, 0.1);
 pub enum InsufficientPictures {
     /// Mirrors that moved, or pictures that were flipped.
     #[error(
-        "in {elsewhere} of {all} pictures the mirror stands otherwise than in the rest: was it moved, were pictures \
+        "in {elsewhere} of {all} pictures the mirror is not where it is in the others: was it moved, were pictures \
          flipped by the camera's software, or are there more mirrors (--mirrors)?"
     )]
     OneRig {
@@ -37,8 +38,9 @@ pub enum InsufficientPictures {
     },
     /// A mirror that too few pictures show.
     #[error(
-        "mirror {number} from the left shows the board in {found} picture only; at least {MIN_MIRROR_PICTURES} are \
-         needed, 10 are good"
+        "mirror {number} from the left shows the board in only {}; at least {MIN_MIRROR_PICTURES} are needed, 10 are \
+         good",
+        plural(*found, "picture")
     )]
     Mirror {
         /// Counted from 1, from left to right in the picture.
@@ -48,8 +50,8 @@ pub enum InsufficientPictures {
     },
     /// Parallel boards.
     #[error(
-        "all boards are within {spread_deg:.0}° of parallel: turn and distance of mirrors and walls hang on their \
-         perspective alone; tilt the board by 30° and more, to all sides"
+        "all boards are within {spread_deg:.0}° of parallel: turn and distance of mirrors and walls are then \
+         determined by perspective alone; tilt the board by 30° and more, to all sides"
     )]
     Tilt {
         /// Largest angle between two boards.
@@ -57,7 +59,7 @@ pub enum InsufficientPictures {
     },
     /// A surface that is not determined.
     #[error(
-        "the pictures leave {surface} open: by {tilt_deg:.1}° and {offset_mm:.0} mm (1σ). They are {count}, with \
+        "the pictures leave {surface} open: by {tilt_deg:.1}° and {offset_mm:.0} mm (1σ). There are {count}, with \
          boards within {spread_deg:.0}° of parallel and {depth_mm:.0} mm of one depth: take more, sharp ones, tilted \
          to all sides, near and far, or measure a distance (--distance). Are squares, glass and distances as they were \
          given?"

@@ -117,7 +117,9 @@ fn check_for_copies(all: &[Read]) -> Result<(), Failure> {
                 )));
             }
             (true, false) => {
-                tracing::warn!("{name}: is fitted and judged by: fitted data cannot judge the model");
+                tracing::warn!(
+                    "{name} is used both to fit and to validate; a model cannot be judged by the data it was fitted to"
+                );
             }
             _ => {}
         }
