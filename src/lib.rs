@@ -70,52 +70,8 @@
 //! Each module that can fail has one error `enum`, with the numbers that explain the failure. A frame that cannot be
 //! measured is data, not an error. Nothing here panics on bad input.
 
-// In the order of the data.
-pub mod rig;
-
-pub mod optics;
-
-pub mod source;
-
-pub mod segment;
-
-pub mod track;
-
-pub mod estimate;
-
-pub mod sink;
-
-pub mod report;
-
-pub mod tally;
-
-pub mod live;
-
-pub mod log;
-
-pub mod series;
-
-pub(crate) mod excite;
-
-pub mod catheter;
-
-pub mod identify;
-
-pub(crate) mod validate;
-
-pub mod pipeline;
-
-pub mod calibrate;
-
-pub(crate) mod archive;
-pub(crate) mod convert;
-pub mod simulate;
-
-pub(crate) mod studio;
-
+// In the order of the data, as in the table in ARCHITECTURE.md.
 pub(crate) mod atomic_file;
-
-pub(crate) mod vetoes;
 
 mod catch_panic;
 
@@ -123,12 +79,58 @@ mod median;
 
 mod plural;
 
+pub(crate) mod vetoes;
+
 mod digits;
+
+pub mod optics;
+
+pub mod log;
+
+pub mod rig;
+
+pub mod source;
+
+pub mod estimate;
+
+pub mod segment;
+
+pub mod track;
+
+pub mod calibrate;
+
+pub mod tally;
+
+pub mod sink;
+
+pub mod pipeline;
+
+pub(crate) mod archive;
+
+pub(crate) mod convert;
+
+pub mod live;
+
+pub mod series;
+
+pub(crate) mod excite;
+
+pub mod catheter;
+
+pub mod simulate;
+
+pub mod identify;
+
+pub(crate) mod validate;
+
+pub mod report;
+
+pub(crate) mod studio;
+
+pub mod cli;
 
 #[doc(hidden)]
 pub mod fuzz;
-
-pub mod cli;
 
 #[cfg(test)]
 extern crate self as catoptra;

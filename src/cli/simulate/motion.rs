@@ -67,11 +67,8 @@ impl Source {
     pub(in crate::cli) fn rest(&self) -> &CentreLine {
         match self {
             Self::Rod(_, rest, _) => rest,
-            Self::Poses(poses) =>
-            {
-                #[allow(clippy::indexing_slicing, reason = "`poses` gives one at least")]
-                &poses[0].1
-            }
+            // `poses` gives one at least.
+            Self::Poses(poses) => &poses[0].1,
         }
     }
 
