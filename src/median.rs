@@ -1,5 +1,8 @@
 //! Medians. Of an odd count of numbers there is one; of an even count there are two in use here.
 
+/// σ of a normal distribution over its median absolute deviation.
+pub(crate) const SD_PER_MEDIAN_DEVIATION: f64 = 1.4826;
+
 /// The median: of an even count, the mean of the two in the middle.
 pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();

@@ -2,7 +2,7 @@
 
 use super::study::Study;
 use super::{Measured, Outcome};
-use crate::median::median;
+use crate::median::{SD_PER_MEDIAN_DEVIATION, median};
 use crate::plural::plural;
 use std::collections::BTreeMap;
 
@@ -69,8 +69,8 @@ pub(crate) fn unusual_runs(study: &Study) -> Vec<UnusualRun> {
             let values: Vec<(usize, f64)> =
                 runs.iter().filter_map(|(at, m)| Some((*at, value(m)?))).filter(|(_, v)| v.is_finite()).collect();
             let middle = median(values.iter().map(|(_, v)| *v)).unwrap_or(0.0);
-            let spread = 1.4826 * median(values.iter().map(|(_, v)| (v - middle).abs())).unwrap_or(0.0);
-            let limit = (UNUSUAL_SD * spread).max(least);
+            let deviation = median(values.iter().map(|(_, v)| (v - middle).abs())).unwrap_or(0.0);
+            let limit = (UNUSUAL_SD * (SD_PER_MEDIAN_DEVIATION * deviation)).max(least);
             for (at, v) in values {
                 if v - middle > limit || both && middle - v > limit {
                     let why = format!("{name} {v:.digits$}{unit}, usual {middle:.digits$}{unit}");

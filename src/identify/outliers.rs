@@ -6,12 +6,10 @@
 use super::data::Record;
 use super::fit::{InitialState, Kind, output};
 use super::model::Polynomials;
-use crate::median::upper_median;
+use crate::median::{SD_PER_MEDIAN_DEVIATION, upper_median};
 
 /// Distance from the neighbours, in robust σ, beyond which a value is wrong.
 const OUTLYING_SD: f64 = 8.0;
-/// σ of a normal distribution over its median absolute deviation.
-const SD_PER_MEDIAN: f64 = 1.4826;
 /// Largest part of a record that can be outliers: more of them are the system's own.
 const MOST_OUTLYING: f64 = 0.03;
 /// Fewest values at a limit, and their number over that of the values next to it: a sine in coarse steps has 2.4.
@@ -52,7 +50,7 @@ pub(super) fn outliers(model: &Polynomials, record: &Record, period_s: f64) -> O
         };
         all.extend((0..away.len()).filter_map(of));
     }
-    let sd = SD_PER_MEDIAN * upper_median(all.iter().map(|(away, ..)| *away))?;
+    let sd = SD_PER_MEDIAN_DEVIATION * upper_median(all.iter().map(|(away, ..)| *away))?;
     let samples = all.len();
     let outlying = all.into_iter().filter(|(away, is_worst, _)| *is_worst && *away > OUTLYING_SD * sd);
     let outlying: Vec<(f64, Outliers)> = outlying.map(|(away, _, outliers)| (away, outliers)).collect();

@@ -20,6 +20,7 @@ mod triangulate;
 pub use lens::{Lens, LensError};
 pub use no_ray::NoRay;
 pub use path::{OpticalPath, Projection, Tracing};
+pub(crate) use surface::UNIT_TOLERANCE;
 pub use surface::{Mirror, Plane, PlaneError, Surface, Wall};
 pub use triangulate::{Sighting, Triangulated, triangulate};
 

@@ -26,8 +26,8 @@ pub enum PlaneError {
     NotFinite(f64, f64, f64, f64),
 }
 
-/// How far a normal read from a file may be from unit length: six printed decimals.
-const UNIT_TOLERANCE: f64 = 2e-6;
+/// How far unit vectors and rotations read from a file may be off: six printed decimals.
+pub(crate) const UNIT_TOLERANCE: f64 = 2e-6;
 
 /// How far behind its start a ray may meet a plane and still count as meeting it, metres: rounding.
 const ON_PLANE_M: f64 = 1e-12;

@@ -10,14 +10,11 @@ use super::walk::{central_pixel, walk};
 use super::{
     Base, Camera, Catheter, ColourModel, ColourPlane, Draft, Marker, Rig, RigError, View, covariance, polygon,
 };
-use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
+use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, UNIT_TOLERANCE, Wall};
 use nalgebra::{Isometry3, Matrix3, Point2, Translation3, Vector2, Vector3};
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
-
-/// How far unit vectors and rotations may be off: six printed decimals.
-const UNIT_TOLERANCE: f64 = 2e-6;
 
 /// Checks and converts a whole file; `file` is named in the messages.
 pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
