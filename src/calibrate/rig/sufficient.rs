@@ -126,3 +126,17 @@ pub(crate) fn determined(solution: &Solution) -> Result<(), InsufficientPictures
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_of_a_mirror_are_counted_in_words() {
+        let told = |found| InsufficientPictures::Mirror { number: 1, found }.to_string();
+        assert!(
+            told(0).starts_with("mirror 1 from the left shows the board in only 0 pictures; at least 2 are needed")
+        );
+        assert!(told(1).contains("in only 1 picture; at least 2"));
+    }
+}
