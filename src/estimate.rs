@@ -264,3 +264,16 @@ impl Miss {
 pub fn plain_words(word: &str) -> String {
     word.replace("not_seen_", "not seen in ").replace('_', " ")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn misses_in_plain_words() {
+        let words = |miss: Miss| miss.plain_words(&["direct", "left_mirror"]);
+        assert_eq!(words(Miss::NotSeen { view: 1 }), "not seen in left mirror");
+        assert_eq!(words(Miss::NoBaseFrame), "no base frame");
+        assert_eq!(plain_words("not_seen_direct"), "not seen in direct");
+    }
+}
