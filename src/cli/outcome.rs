@@ -119,3 +119,19 @@ pub(super) fn of(
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_that_are_needed_and_missing_are_a_failure() {
+        let outcome = |json| Outcome { json, quiet: true, text: Mutex::default(), results: Mutex::default() };
+        let missing = || Err(Failure::new(Exit::Failed, "model.json: cannot be read again"));
+        assert_eq!(outcome(true).found(missing).unwrap_err().exit(), Exit::Failed);
+        assert!(outcome(false).found(missing).is_ok());
+        let good = outcome(true);
+        good.found(|| Ok(json!(7))).unwrap();
+        assert_eq!(*lock(&good.results), 7);
+    }
+}
