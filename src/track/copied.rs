@@ -136,7 +136,7 @@ mod tests {
     }
 
     /// A coder that corrects one block of five, others in each picture.
-    fn predicted(coded: &mut Vec<u8>, own: &[u8], frame: u32) {
+    fn predicted(coded: &mut [u8], own: &[u8], frame: u32) {
         for (i, (to, from)) in coded.iter_mut().zip(own).enumerate() {
             let [x, y] = [i as u32 % SIZE / 16, i as u32 / SIZE / 16];
             if (x + 2 * y + frame).is_multiple_of(5) {

@@ -107,8 +107,10 @@ fn the_number_of_threads_does_not_change_what_a_damaged_video_gives() {
 fn without(packets: std::ops::Range<usize>, recording: &Path, to: &Path) {
     let mut input = av::format::input(recording).unwrap();
     let mut output = av::format::output(to).unwrap();
-    let parameters = input.streams().best(av::media::Type::Video).unwrap().parameters();
-    output.add_stream(av::encoder::find(av::codec::Id::None)).unwrap().set_parameters(parameters);
+    {
+        let stream = input.streams().best(av::media::Type::Video).unwrap();
+        output.add_stream(av::encoder::find(av::codec::Id::None)).unwrap().set_parameters(stream.parameters());
+    }
     output.write_header().unwrap();
     for (k, packet) in input.packets().enumerate() {
         let (_, packet) = packet.unwrap();
