@@ -5,7 +5,8 @@
 //! picture is left out, and with it all that are decoded after it up to the next key frame.
 //!
 //! A B picture may be shown before the damaged picture it was predicted from. But it is decoded later, and by then the
-//! decoder has said that it conceals damage (see `messages`).
+//! decoder has said that it conceals damage (see `messages`). Pictures that are decoded after a key frame but shown before
+//! it build on those before it, which are missing after a jump; nothing that is shown after the key frame builds on them.
 //!
 //! Packets may be lost after they were coded, by a recorder or a network. In H.264 and H.265 the next picture refers to
 //! one that is missing, and the decoder says so. Pictures of damaged packets that it then keeps to itself are damaged
@@ -26,7 +27,8 @@ pub(crate) struct DamageLog {
     count: u64,
     /// Key frames: number and time.
     keys: BTreeMap<u64, Option<i64>>,
-    damaged: BTreeSet<u64>,
+    /// With their times, as far as known.
+    damaged: BTreeMap<u64, Option<i64>>,
     /// Those of them whose times were returned.
     told: BTreeSet<u64>,
     /// Packets with an error that may give a picture nevertheless.
@@ -66,19 +68,28 @@ impl DamageLog {
 
     /// The decoder said this of packet `number`.
     pub(super) fn heard(&mut self, number: u64, said: Said) {
-        let packets = match said {
-            Said::Error => &mut self.suspects,
-            Said::SkipsNumbers if self.skips_numbers => return,
-            Said::Concealed | Said::SkipsNumbers => &mut self.damaged,
-        };
-        packets.insert(number);
+        match said {
+            Said::Error => _ = self.suspects.insert(number),
+            Said::SkipsNumbers if self.skips_numbers => {}
+            Said::Concealed | Said::SkipsNumbers => self.mark(number, self.time_of(number)),
+        }
     }
 
     /// The packet that was read `before` packets before the last one is damaged; returns its time.
     pub(crate) fn packet_is_damaged(&mut self, before: u64) -> Option<i64> {
         let number = self.count.saturating_sub(1 + before);
-        self.damaged.insert(number);
+        let pts = self.time_of(number);
+        self.mark(number, pts);
         self.told.insert(number);
+        pts
+    }
+
+    fn mark(&mut self, number: u64, pts: Option<i64>) {
+        self.damaged.entry(number).or_insert(pts);
+    }
+
+    /// The time of a packet that has given no picture yet.
+    fn time_of(&self, number: u64) -> Option<i64> {
         self.number_of.iter().find(|(_, of)| **of == number).map(|(pts, _)| *pts)
     }
 
@@ -96,7 +107,7 @@ impl DamageLog {
         let Self { number_of, suspects, damaged, .. } = self;
         let before = number_of.range(..pts.unwrap_or(i64::MAX));
         let failed: Vec<_> = before.filter(|(_, number)| suspects.remove(number)).collect();
-        damaged.extend(failed.iter().map(|(_, number)| **number));
+        damaged.extend(failed.iter().map(|(pts, number)| (**number, Some(**pts))));
         failed.into_iter().map(|(pts, _)| *pts).collect()
     }
 
@@ -124,7 +135,7 @@ impl DamageLog {
         let latest = self.count.saturating_sub(1);
         let number = pts.and_then(|pts| self.number_of.remove(&pts)).unwrap_or(latest);
         if damaged {
-            self.damaged.insert(number);
+            self.mark(number, pts);
         }
         number
     }
@@ -133,8 +144,10 @@ impl DamageLog {
     pub(crate) fn is_sound(&self, number: u64, pts: Option<i64>) -> bool {
         // Pictures decoded after a key frame but shown before it also depend on those before it.
         let restarts = |key: Option<i64>| key.zip(pts).is_none_or(|(key, pts)| key <= pts);
-        let key = self.keys.range(..=number).rev().find(|(_, key)| restarts(**key)).map_or(0, |(key, _)| *key);
-        self.damaged.range(key..=number).next().is_none()
+        let last = self.keys.range(..=number).rev().find(|(_, key)| restarts(**key));
+        let (key, shown) = last.map_or((0, None), |(key, shown)| (*key, *shown));
+        let reaches = |damaged: Option<i64>| damaged.zip(shown).is_none_or(|(damaged, shown)| damaged >= shown);
+        !self.damaged.range(key..=number).any(|(_, damaged)| reaches(*damaged))
     }
 
     fn forget_before(&mut self, number: u64) {
@@ -270,5 +283,19 @@ mod tests {
         assert_eq!(log.packet_is_damaged(2), Some(1));
         log.picture(Some(3), false);
         assert_eq!(log.kept_back_before(3), [2]);
+    }
+    #[test]
+    fn what_misses_the_group_before_a_jump_does_not_spoil_what_is_shown_after_the_key_frame() {
+        let mut log = DamageLog::default();
+        let numbers = [(3, true), (1, false), (2, false), (6, false), (4, false), (5, false)]
+            .map(|(pts, key)| (log.packet(Some(pts), key), pts));
+        // The two that are shown before the key frame.
+        log.heard(1, Said::Concealed);
+        log.heard(2, Said::Concealed);
+        let sound = numbers.map(|(number, pts)| log.is_sound(number, Some(pts)));
+        assert_eq!(sound, [true, false, false, true, true, true]);
+        // One that is shown after it does.
+        log.heard(3, Said::Concealed);
+        assert!(!log.is_sound(5, Some(5)) && log.is_sound(0, Some(3)));
     }
 }
