@@ -71,26 +71,37 @@ impl DamageLog {
         match said {
             Said::Error => _ = self.suspects.insert(number),
             Said::SkipsNumbers if self.skips_numbers => {}
-            Said::Concealed | Said::SkipsNumbers => self.mark(number, self.time_of(number)),
+            Said::Concealed => self.mark(number, self.time_of(number)),
+            Said::SkipsNumbers => {
+                // What is missing before a key frame harms only pictures that are shown before it.
+                let before = self.keys.get(&number).map(|shown| shown.map(|shown| shown.saturating_sub(1)));
+                self.mark(number, before.unwrap_or_else(|| self.time_of(number)));
+            }
         }
     }
 
     /// The packet that was read `before` packets before the last one is damaged; returns its time.
     pub(crate) fn packet_is_damaged(&mut self, before: u64) -> Option<i64> {
         let number = self.count.saturating_sub(1 + before);
-        let pts = self.time_of(number);
-        self.mark(number, pts);
+        self.mark(number, self.time_of(number));
         self.told.insert(number);
-        pts
+        self.awaited(number)
     }
 
+    /// A packet is damaged, with what is shown at `pts` or later: the latest counts.
     fn mark(&mut self, number: u64, pts: Option<i64>) {
-        self.damaged.entry(number).or_insert(pts);
+        let known = self.damaged.entry(number).or_insert(pts);
+        *known = pts.max(*known);
     }
 
     /// The time of a packet that has given no picture yet.
-    fn time_of(&self, number: u64) -> Option<i64> {
+    fn awaited(&self, number: u64) -> Option<i64> {
         self.number_of.iter().find(|(_, of)| **of == number).map(|(pts, _)| *pts)
+    }
+
+    /// The same, or that of a key frame.
+    fn time_of(&self, number: u64) -> Option<i64> {
+        self.awaited(number).or_else(|| *self.keys.get(&number)?)
     }
 
     /// The stream has ended: only the last `count` packets stay suspects. The errors of others were returned.
@@ -294,8 +305,13 @@ mod tests {
         log.heard(2, Said::Concealed);
         let sound = numbers.map(|(number, pts)| log.is_sound(number, Some(pts)));
         assert_eq!(sound, [true, false, false, true, true, true]);
-        // One that is shown after it does.
+        // Nor do numbers that are skipped before it.
+        log.heard(0, Said::SkipsNumbers);
+        assert_eq!(numbers.map(|(number, pts)| log.is_sound(number, Some(pts))), sound);
+        // One that is shown after it does, and the key frame itself.
         log.heard(3, Said::Concealed);
         assert!(!log.is_sound(5, Some(5)) && log.is_sound(0, Some(3)));
+        log.heard(0, Said::Concealed);
+        assert!(!log.is_sound(0, Some(3)));
     }
 }

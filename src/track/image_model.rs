@@ -16,7 +16,8 @@ pub(crate) struct ImageModel {
     pub mosaic: Option<Mosaic>,
     /// At the blur at which it was measured.
     pub error: ModelError,
-    /// Assumed of the video that the pictures are a copy of, if they are (copied.rs).
+    /// Assumed of the video that the pictures are a copy of, if they are (copied.rs), unless they are known to be
+    /// converted from one (pairs.rs).
     pub first_coded: Option<Quantisation>,
 }
 

@@ -7,7 +7,8 @@
 //! latest positions is compared with this line. Both have the same errors of rig and image model. By how much it is off
 //! is the error of all positions, if the rig still is where it was at first, and belongs into their covariance; the
 //! slope stays as it is as long as it is off. While the coil is not seen, its direction is any of those before.
-//! The same sums tell how far a single position is from the first, less what the tube bends it (carried.rs).
+//! The same sums tell how far a single position is from the first, less what the tube bends it (carried.rs), and how far
+//! the band swings with the coil. Beside a clamp it hardly does; a picture that moves with the coil looks the same.
 //!
 //! Cannot tell: moves before the run or that the base band does not see (the tally's drift alarms see some of them);
 //! which of both moments the rig is right for; all of a move among the first frames; anything before the coil was seen
@@ -30,6 +31,11 @@ const ALIKE: f64 = 15.0;
 pub(super) const BENT_M: f64 = 2e-3;
 /// The same of a band beside the clamp: an evenly bent tube of 85 mm moves a band 7 mm from its end by so much.
 const BENT_BESIDE_CLAMP_M: f64 = 0.3e-3;
+/// How far a band beside its clamp does not swing with the coil, metres, in how many frames it must have been further, and
+/// how many σ of the slope that must be.
+const SWINGS_M: f64 = 0.5e-3;
+const SWINGING: u32 = 30;
+const SWINGS_SD: f64 = 5.0;
 /// Square of the distance over the covariance of a single position beyond which the band has moved. Measured where
 /// nothing moved, from a line through all earlier positions: up to 0.6 in lossless recordings, up to 7 in coded ones.
 const MIN_CHI2: f64 = 12.0;
@@ -53,6 +59,8 @@ pub(crate) struct Moved {
     /// Whether it is off the line.
     is_off: bool,
     seen: bool,
+    /// Frames in which it was swung further than a clamp allows.
+    swinging: u32,
 }
 
 /// The first position, and the direction of the coil.
@@ -140,6 +148,11 @@ impl Moved {
         self.seen
     }
 
+    /// Whether it swings with the coil, further than beside a clamp.
+    pub(crate) fn swings(&self) -> bool {
+        self.swinging >= SWINGING
+    }
+
     /// Begins anew, because positions change by themselves. A move that was found stays.
     pub(crate) fn forget(&mut self) {
         let off = self.off().filter(|_| self.is_off).map_or_else(Vector3::zeros, |(off, _)| off);
@@ -177,6 +190,7 @@ impl Moved {
 
     /// The covariance of the move, m²; zero if there is none.
     pub(crate) fn covariance(&mut self) -> Matrix3<f64> {
+        self.swinging = self.swinging.saturating_add(u32::from(self.swing_m() > Some(SWINGS_M)));
         let (mut off, chi2) = self.off().unwrap_or_default();
         self.is_off = chi2 > if self.is_off { BACK_CHI2 } else { MIN_CHI2 };
         self.seen |= self.is_off;
@@ -198,6 +212,14 @@ impl Moved {
         let Sample { direction, position, covariance, .. } = self.latest.back()?;
         let (slope, _) = self.slope(BENT_BESIDE_CLAMP_M)?;
         Some((position - slope.tr_mul(direction.as_ref()?), covariance + self.origin?.covariance))
+    }
+
+    /// How far the last direction of the coil has swung the band from the mean of the first, metres, if that is known.
+    fn swing_m(&self) -> Option<f64> {
+        let turned = self.latest.back()?.direction? - self.first.direction / self.first.weight;
+        let (slope, uncertain) = self.slope(BENT_M)?;
+        let (way_m, variance) = (slope.tr_mul(&turned).norm(), turned.dot(&(uncertain * turned)));
+        (way_m > SWINGS_SD * variance.sqrt()).then_some(way_m)
     }
 
     /// How far the latest positions are from the line, metres, and the square of that over its covariance; `None` with
@@ -273,6 +295,22 @@ mod tests {
 
     fn swing(k: usize) -> f64 {
         0.5 * (0.1 * k as f64).sin()
+    }
+
+    #[test]
+    fn what_swings_further_than_beside_a_clamp_is_noticed() {
+        let swings = |m_per_rad: f64| {
+            let (mut moved, mut random) = (Moved::default(), Random::new(5));
+            for k in 0..300 {
+                let (sin, cos) = swing(k).sin_cos();
+                let error = Vector3::from_fn(|_, _| SD_M * random.normal());
+                let point = Point3::from(Vector3::x() * m_per_rad * sin + error);
+                moved.add(stamp(k), &base(point), Some(&Vector3::new(sin, cos, 0.0)));
+                moved.covariance();
+            }
+            moved.swings()
+        };
+        assert!(!swings(0.0) && !swings(3e-4) && !swings(7e-4) && swings(1.5e-3));
     }
 
     #[test]

@@ -37,7 +37,7 @@ use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::{ShapeStep, TubeShape};
 use crate::track::warnings::{
     BLENDED, COLOURS_LAG, COPIED, FRINGES, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES,
-    UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
+    SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
 };
 use nalgebra::{Matrix3, Vector2};
 
@@ -222,9 +222,9 @@ impl Tracker {
         };
         self.pairs.add(picture, &found.blobs);
         self.copied.add(picture, found.windows_of(0));
-        self.model.first_coded = self.copied.from().cloned();
         self.look_for_mosaic(picture, &found);
         let (converted, noisy) = (self.pairs.are_alike(), self.grain.is_sensor());
+        self.model.first_coded = self.copied.from().filter(|_| !converted).cloned();
         self.model.error = ModelError::of(picture, self.model.quantisation(picture).is_some(), converted, noisy);
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
@@ -272,12 +272,13 @@ impl Tracker {
         let diameter = self.diameter.doubt();
         let seen = [
             (self.pairs.are_alike(), PAIRED_CHROMA),
-            (self.copied.from().is_some(), COPIED),
+            (self.model.first_coded.is_some(), COPIED),
             (self.judge.views_disagree(), VIEWS_DISAGREE),
             (self.judge.usual.is_unlike_learned(), UNLIKE_TAUGHT),
             (self.scatter.iter().any(Scatter::is_unsteady), UNSTEADY),
             (self.shake.is_seen(), SHAKES),
             (self.moved.is_seen(), MOVED),
+            (self.moved.swings(), SWINGS),
             (self.focus.has_changed() && self.rig.blurs_px().all(|blur| blur.is_some()), OUT_OF_FOCUS),
             (self.blending.is_seen(), BLENDED),
             (self.lag.is_seen(), COLOURS_LAG),

@@ -40,6 +40,10 @@ pub(super) const SHAKES: &str = "the base band, which should rest, shakes by mor
 pub(super) const MOVED: &str = "the base band, which should rest, is not where it was in the first frames: camera, \
      mirror, tank or clamp have moved since, or the band is too far from its clamp; σ of all positions is widened by \
      as much, but not that of directions and θ, which hold if the whole picture moved alike";
+pub(super) const SWINGS: &str = "the base band, which should rest, swings with the coil by half a millimetre or more: it \
+     is too far from its clamp, which does not harm positions, or the picture moves with the coil (a stand that gives \
+     way, a stabiliser), which moves all of them by as much, and σ does not cover that: clamp the tube close to the \
+     band, and the camera firmly";
 /// After the numbers (diameter.rs).
 pub(super) const OTHER_TUBE: &str = "; measure the tube, and teach the bands with its diameter (or the tape around \
      them, or the scale of the calibration, is another)";
