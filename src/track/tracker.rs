@@ -221,7 +221,9 @@ impl Tracker {
             found => found?,
         };
         self.pairs.add(picture, &found.blobs);
-        self.copied.add(picture, found.windows_of(0));
+        if picture.is_decoded() {
+            self.copied.add(picture, found.windows_of(0));
+        }
         self.look_for_mosaic(picture, &found);
         let (converted, noisy) = (self.pairs.are_alike(), self.grain.is_sensor());
         self.model.first_coded = self.copied.from().filter(|_| !converted).cloned();
