@@ -107,13 +107,23 @@ fn the_number_of_threads_does_not_change_what_a_damaged_video_gives() {
 fn without(packets: std::ops::Range<usize>, recording: &Path, to: &Path) {
     let mut input = av::format::input(recording).unwrap();
     let mut output = av::format::output(to).unwrap();
-    {
+    let from = {
         let stream = input.streams().best(av::media::Type::Video).unwrap();
         output.add_stream(av::encoder::find(av::codec::Id::None)).unwrap().set_parameters(stream.parameters());
-    }
+        stream.time_base()
+    };
     output.write_header().unwrap();
-    for (k, packet) in input.packets().enumerate() {
-        let (_, packet) = packet.unwrap();
+    let stored = output.stream(0).unwrap().time_base();
+    let (mut packet, mut decoded) = (av::Packet::empty(), i64::MIN);
+    for k in 0.. {
+        if packet.read(&mut input).is_err() {
+            break;
+        }
+        packet.rescale_ts(from, stored);
+        decoded = packet.dts().map_or(decoded, |dts| dts.max(decoded.saturating_add(1)));
+        packet.set_dts(Some(decoded));
+        packet.set_position(-1);
+        packet.set_stream(0);
         if !packets.contains(&k) {
             packet.write_interleaved(&mut output).unwrap();
         }
