@@ -5,8 +5,9 @@
 //! picture is left out, and with it all that are decoded after it up to the next key frame.
 //!
 //! A B picture may be shown before the damaged picture it was predicted from. But it is decoded later, and by then the
-//! decoder has said that it conceals damage (see `messages`). Pictures that are decoded after a key frame but shown before
-//! it build on those before it, which are missing after a jump; nothing that is shown after the key frame builds on them.
+//! decoder has said that it conceals damage (see `messages`). Pictures that are decoded after a key frame but shown
+//! before it build on those before it, which are missing after a jump; nothing that is shown after the key frame builds
+//! on them.
 //!
 //! Packets may be lost after they were coded, by a recorder or a network. In H.264 and H.265 the next picture refers to
 //! one that is missing, and the decoder says so. Pictures of damaged packets that it then keeps to itself are damaged
@@ -263,6 +264,7 @@ mod tests {
         assert!(log.failed_before(None).is_empty());
         assert_eq!([1, 3].map(|number| log.is_sound(number, None)), [true, false]);
     }
+
     #[test]
     fn what_the_decoder_keeps_back_after_a_loss_is_damaged_and_told_once() {
         for (skips_numbers, expected) in [(false, vec![11, 12, 13]), (true, vec![])] {
@@ -295,6 +297,7 @@ mod tests {
         log.picture(Some(3), false);
         assert_eq!(log.kept_back_before(3), [2]);
     }
+
     #[test]
     fn what_misses_the_group_before_a_jump_does_not_spoil_what_is_shown_after_the_key_frame() {
         let mut log = DamageLog::default();

@@ -42,8 +42,8 @@ fn loses_little(codec: Id) -> bool {
     is_lossless || matches!(codec, Id::PRORES | Id::DNXHD | Id::CFHD | Id::JPEG2000 | Id::MJPEG)
 }
 
-/// Whether a coder predicts pictures from others without numbering them: where one was lost after coding, its decoder cannot
-/// know.
+/// Whether a coder predicts pictures from others without numbering them: where one was lost after coding, its decoder
+/// cannot know.
 fn numbers_nothing(codec: Id) -> bool {
     matches!(codec, Id::VP8 | Id::MPEG4 | Id::MPEG1VIDEO | Id::MPEG2VIDEO | Id::H263 | Id::FLV1 | Id::THEORA)
         || matches!(codec, Id::MSMPEG4V1 | Id::MSMPEG4V2 | Id::MSMPEG4V3 | Id::WMV1 | Id::WMV2 | Id::WMV3 | Id::VC1)
@@ -105,8 +105,8 @@ impl PictureMaker {
     pub(super) fn are_missing_before(&mut self, frame: &Video, at_s: f64) {
         if self.numbers_nothing && !frame.is_key() && self.first("loss") {
             tracing::warn!(
-                "{}: pictures are missing before {at_s} s, and their coder does not number them: if a recorder or network \
-                 lost them after coding, those up to the next key frame are wrong",
+                "{}: pictures are missing before {at_s} s, and their coder does not number them: if a recorder or \
+                 network lost them after coding, those up to the next key frame are wrong",
                 self.path.display()
             );
         }

@@ -23,7 +23,8 @@ pub(super) enum Said {
     Concealed,
 }
 
-/// What messages begin with that tell of concealed damage, and of missing pictures (H.264 and H.265), and what each means.
+/// What messages begin with that tell of concealed damage, and of missing pictures (H.264 and H.265), and what each
+/// means.
 const TELLING: [(&[u8], Said); 5] = [
     (b"concealing ", Said::Concealed),
     (b"Missing reference picture", Said::Concealed),

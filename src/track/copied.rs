@@ -3,12 +3,12 @@
 //!
 //! Method. A coder that predicts leaves what hardly changed as it was, to the last bit, until that costs too much. A
 //! sensor's noise changes every part of every picture. Compared: small blocks with contrast around the base band, which
-//! rests, from frame to frame. In a copy they repeat, or change by more than rounding, now this and now that: in 0.05 to
-//! 0.27 of the comparisons both are as frequent, in copies of H.264 at crf 18 to 23. Without losses it is none, and 0.01
-//! in simulated pictures without noise, which change by rounding alone where the tube hardly moves.
+//! rests, from frame to frame. In a copy they repeat, or change by more than rounding, now this and now that: in 0.05
+//! to 0.27 of the comparisons both are as frequent, in copies of H.264 at crf 18 to 23. Without losses it is none, and
+//! 0.01 in simulated pictures without noise, which change by rounding alone where the tube hardly moves.
 //!
-//! What is lost is then assumed to be what is usual, as for a coder whose quantisation is unknown. JPEGs of a quality that
-//! loses more themselves keep their own.
+//! What is lost is then assumed to be what is usual, as for a coder whose quantisation is unknown. JPEGs of a quality
+//! that loses more themselves keep their own.
 //!
 //! Cannot detect: copies of finely coded videos (crf 14), of videos that were resized or turned, and noise that was
 //! added later. A camera that reduces noise over time looks the same.
@@ -55,11 +55,12 @@ impl Copied {
 
     /// Adds a picture, with the windows of the base band in it.
     pub(crate) fn add(&mut self, picture: &Picture, base: impl Iterator<Item = Window>) {
-        if self.frames == FRAMES {
+        let own = picture.quantisation();
+        if self.frames == FRAMES || own.is_some_and(|own| own.predicted) {
             return;
         }
         let assumed = Quantisation::assumed(picture.size_px());
-        if picture.quantisation().is_some_and(|own| own.predicted || own.step_at([0, 0]) >= assumed.step_at([0, 0])) {
+        if own.is_some_and(|own| own.step_at([0, 0]) >= assumed.step_at([0, 0])) {
             return;
         }
         for window in base {

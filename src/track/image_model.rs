@@ -22,10 +22,20 @@ pub(crate) struct ImageModel {
 }
 
 impl ImageModel {
-    /// How coarsely a picture was quantised, by its own coder or by that of the video it is a copy of; `None` when that is
-    /// unknown, and without losses.
+    /// How coarsely a picture was quantised, by its own coder or by that of the video it is a copy of; `None` when that
+    /// is unknown, and without losses.
     pub(crate) fn quantisation<'a>(&'a self, picture: &'a Picture) -> Option<&'a Quantisation> {
         self.first_coded.as_ref().or(picture.quantisation())
+    }
+
+    /// Its errors in a picture. `converted` tells that it was made from one with subsampled chroma (pairs.rs), `noisy`
+    /// that it still has the noise of its sensor (grain.rs).
+    pub(crate) fn error_in(&self, picture: &Picture, converted: bool, noisy: bool) -> ModelError {
+        match self.quantisation(picture) {
+            Some(_) => ModelError::QUANTISED,
+            None if converted || (may_be_coded(picture) && !noisy) => ModelError::CODED,
+            None => ModelError::FULL,
+        }
     }
 
     /// Whether a picture was predicted from others.
@@ -89,16 +99,6 @@ impl ModelError {
         coding_rms: 2.7,
         persisting: 0.5,
     };
-
-    /// Those of a picture. `quantised` says that its quantisation is known, `converted` that it was made from one with
-    /// subsampled chroma (pairs.rs), `noisy` that it still has the noise of its sensor (grain.rs).
-    pub(crate) fn of(picture: &Picture, quantised: bool, converted: bool, noisy: bool) -> Self {
-        match quantised {
-            true => Self::QUANTISED,
-            false if converted || (may_be_coded(picture) && !noisy) => Self::CODED,
-            false => Self::FULL,
-        }
-    }
 
     /// Errors common to all frames of a recording, including a coder's errors that stay while the tube does not move.
     pub(crate) fn lasting(self) -> Self {

@@ -7,8 +7,8 @@
 //! latest positions is compared with this line. Both have the same errors of rig and image model. By how much it is off
 //! is the error of all positions, if the rig still is where it was at first, and belongs into their covariance; the
 //! slope stays as it is as long as it is off. While the coil is not seen, its direction is any of those before.
-//! The same sums tell how far a single position is from the first, less what the tube bends it (carried.rs), and how far
-//! the band swings with the coil. Beside a clamp it hardly does; a picture that moves with the coil looks the same.
+//! The same sums tell how far a single position is from the first, less what the tube bends it (carried.rs), and how
+//! far the band swings with the coil. Beside a clamp it hardly does; a picture that moves with the coil looks the same.
 //!
 //! Cannot tell: moves before the run or that the base band does not see (the tally's drift alarms see some of them);
 //! which of both moments the rig is right for; all of a move among the first frames; anything before the coil was seen
@@ -31,8 +31,8 @@ const ALIKE: f64 = 15.0;
 pub(super) const BENT_M: f64 = 2e-3;
 /// The same of a band beside the clamp: an evenly bent tube of 85 mm moves a band 7 mm from its end by so much.
 const BENT_BESIDE_CLAMP_M: f64 = 0.3e-3;
-/// How far a band beside its clamp does not swing with the coil, metres, in how many frames it must have been further, and
-/// how many σ of the slope that must be.
+/// How far a band beside its clamp does not swing with the coil, metres, in how many frames it must have been further,
+/// and how many σ of the slope that must be.
 const SWINGS_M: f64 = 0.5e-3;
 const SWINGING: u32 = 30;
 const SWINGS_SD: f64 = 5.0;

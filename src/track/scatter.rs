@@ -122,6 +122,7 @@ mod tests {
         assert!((factor(9e-5, 3e-5, 0.5) - (2.0 * three - 1.0)).abs() < 1e-9);
         assert!((factor(1e-5, 3e-5, 0.5) - 1.0).abs() < 1e-12);
     }
+
     #[test]
     fn only_a_large_scatter_is_unsteady() {
         let unsteady = |sd: f64| {

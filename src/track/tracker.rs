@@ -227,7 +227,7 @@ impl Tracker {
         self.look_for_mosaic(picture, &found);
         let (converted, noisy) = (self.pairs.are_alike(), self.grain.is_sensor());
         self.model.first_coded = self.copied.from().filter(|_| !converted).cloned();
-        self.model.error = ModelError::of(picture, self.model.quantisation(picture).is_some(), converted, noisy);
+        self.model.error = self.model.error_in(picture, converted, noisy);
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
         self.judge.judge(&self.rig, &self.model.encoding, picture.format(), &found, &mut fitted);
@@ -301,8 +301,7 @@ impl Tracker {
     /// Errors of the image model common to all frames so far, of which `picture` is one. Noise tells nothing of what
     /// stays.
     pub(crate) fn lasting_error(&self, picture: &Picture) -> ModelError {
-        let quantised = self.model.quantisation(picture).is_some();
-        ModelError::of(picture, quantised, self.pairs.are_alike(), false).lasting().blurred(self.focus.most_px())
+        self.model.error_in(picture, self.pairs.are_alike(), false).lasting().blurred(self.focus.most_px())
     }
 
     /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were

@@ -10,7 +10,8 @@ pub(super) const VIEWS_DISAGREE: &str = "the views do not agree on where a band 
      they do not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
 pub(super) const OUT_OF_FOCUS: &str = "the pictures, or those of one view, are clearly sharper or more blurred than \
      those on which the bands were taught: focus, distance or processing have changed (chroma that was resampled, \
-     too), or the mirror is dirty; their blur is measured and used, but the first frames were tracked without it: teach the bands again";
+     too), or the mirror is dirty; their blur is measured and used, but the first frames were tracked without it: \
+     teach the bands again";
 pub(super) const BLENDED: &str = "what moves is blurred by more than any exposure explains: earlier pictures were \
      blended into these (noise reduction over time, conversion of the frame rate), so bands are measured too late; σ \
      is widened by as much: record without it";
@@ -40,10 +41,10 @@ pub(super) const SHAKES: &str = "the base band, which should rest, shakes by mor
 pub(super) const MOVED: &str = "the base band, which should rest, is not where it was in the first frames: camera, \
      mirror, tank or clamp have moved since, or the band is too far from its clamp; σ of all positions is widened by \
      as much, but not that of directions and θ, which hold if the whole picture moved alike";
-pub(super) const SWINGS: &str = "the base band, which should rest, swings with the coil by half a millimetre or more: it \
-     is too far from its clamp, which does not harm positions, or the picture moves with the coil (a stand that gives \
-     way, a stabiliser), which moves all of them by as much, and σ does not cover that: clamp the tube close to the \
-     band, and the camera firmly";
+pub(super) const SWINGS: &str = "the base band, which should rest, swings with the coil by half a millimetre or more: \
+     it is too far from its clamp, which does not harm positions, or the picture moves with the coil (a stand that \
+     gives way, a stabiliser), which moves all of them by as much, and σ does not cover that: clamp the tube close to \
+     the band, and the camera firmly";
 /// After the numbers (diameter.rs).
 pub(super) const OTHER_TUBE: &str = "; measure the tube, and teach the bands with its diameter (or the tape around \
      them, or the scale of the calibration, is another)";
