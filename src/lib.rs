@@ -83,6 +83,8 @@ pub(crate) mod vetoes;
 
 mod digits;
 
+mod whitening;
+
 pub mod optics;
 
 pub mod log;

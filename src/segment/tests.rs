@@ -3,6 +3,7 @@
 use super::*;
 use crate::source::{ChromaSiting, Colour, PixelFormat};
 use crate::testing::bands::{Band, COLOURS, GREY, Scene, VIDEO, YUV420, models};
+use crate::whitening::chi_square;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
@@ -111,7 +112,7 @@ fn scatter_is_as_predicted() {
         let picture = Scene::new(96, 64, &[band]).noisy(8.0, seed + 1).stored(YUV420, VIDEO);
         let blob = segmenter.all_blobs(&picture).unwrap().iter().find(|b| b.area_px2 > 60.0).unwrap().clone();
         let error = blob.centre_px - band.centre;
-        squares += error.dot(&(blob.covariance_px2.try_inverse().unwrap() * error));
+        squares += chi_square(&error, blob.covariance_px2).unwrap();
         count += 2;
     }
     let nees = squares / f64::from(count);

@@ -8,6 +8,7 @@
 //! Cannot tell: what was carried by no more than the noise; bands that move; anything when the first picture was
 //! predicted, as after a seek.
 
+use crate::whitening::chi_square;
 use nalgebra::{Matrix3, Vector3};
 
 /// Expected square of a distance in three dimensions over its covariance.
@@ -16,7 +17,7 @@ const CHANCE: f64 = 3.0;
 /// The covariance of how far a band was carried, m², if it lies `off` its first place and both places have the
 /// covariance `known` between them; zero where chance explains it.
 pub(crate) fn covariance(off: &Vector3<f64>, known: &Matrix3<f64>) -> Matrix3<f64> {
-    let chi2 = known.cholesky().map_or(0.0, |factor| off.dot(&factor.solve(off)));
+    let chi2 = chi_square(off, *known).unwrap_or(0.0);
     if chi2 > CHANCE { off * off.transpose() * (1.0 - CHANCE / chi2) } else { Matrix3::zeros() }
 }
 

@@ -16,6 +16,7 @@
 
 use crate::estimate::Position;
 use crate::source::Timestamp;
+use crate::whitening::chi_square;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
@@ -245,7 +246,7 @@ impl Moved {
             let bent = slope.tr_mul(&(scatter * slope)) + Matrix3::from_diagonal_element((uncertain * scatter).trace());
             variance += bent * hidden;
         }
-        Some((off, off.dot(&variance.cholesky()?.solve(&off))))
+        Some((off, chi_square(&off, variance)?))
     }
 }
 

@@ -14,7 +14,8 @@
 use crate::estimate::Position;
 use crate::source::Timestamp;
 use crate::track::moved::{BENT_M, Bends};
-use nalgebra::{Matrix3, SymmetricEigen, U3, Vector3};
+use crate::whitening::{Whitened, chi_square};
+use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
 /// Time over which the scatter is taken, nanoseconds, and the least number of frames in it.
@@ -141,8 +142,7 @@ impl<'a> Course<'a> {
 
     /// Square of the slope in units of its own covariance.
     fn slope_chi2(&self) -> f64 {
-        let solved = self.expected.cholesky().map(|factor| factor.solve(&self.line.slope));
-        solved.map_or(f64::INFINITY, |solved| self.line.slope.dot(&solved) * self.times)
+        chi_square(&self.line.slope, self.expected).map_or(f64::INFINITY, |chi2| chi2 * self.times)
     }
 
     fn is_at_rest(&self) -> bool {
@@ -190,10 +190,8 @@ fn line(recent: &VecDeque<Sample>, time: f64, times: f64, value: impl Fn(&Sample
 /// How far values scatter.
 struct Scatter {
     freedom: f64,
-    /// Factor of the expected covariance.
-    own: Matrix3<f64>,
-    /// The covariance in units of the expected one.
-    ratios: SymmetricEigen<f64, U3>,
+    /// In units of the expected covariance.
+    whitened: Whitened,
 }
 
 impl Scatter {
@@ -202,24 +200,21 @@ impl Scatter {
         if freedom <= 0.0 || !scatter.iter().all(|value| value.is_finite()) {
             return None;
         }
-        let own = expected.cholesky()?.l();
-        // In units of the expected covariance that is the identity.
-        let inverse = own.try_inverse()?;
-        let ratios = (inverse * scatter * inverse.transpose()).symmetric_eigen();
-        Some(Self { freedom, own, ratios })
+        Some(Self { freedom, whitened: Whitened::of(&scatter, expected)? })
     }
 
     fn is_chance(&self) -> bool {
-        self.ratios.eigenvalues.iter().all(|ratio| *ratio <= MIN_RATIO + MORE_WITH_FEW / self.freedom)
+        self.whitened.ratios.eigenvalues.iter().all(|ratio| *ratio <= MIN_RATIO + MORE_WITH_FEW / self.freedom)
     }
 
     /// What is beyond the expected; `None` when it is chance.
-    fn beyond_chance(mut self) -> Option<Matrix3<f64>> {
+    fn beyond_chance(self) -> Option<Matrix3<f64>> {
         if self.is_chance() {
             return None;
         }
-        self.ratios.eigenvalues.apply(|ratio| *ratio = (*ratio - 1.0).max(0.0));
-        Some(self.own * self.ratios.recompose() * self.own.transpose())
+        let Whitened { root, mut ratios, .. } = self.whitened;
+        ratios.eigenvalues.apply(|ratio| *ratio = (*ratio - 1.0).max(0.0));
+        Some(root * ratios.recompose() * root.transpose())
     }
 }
 

@@ -6,7 +6,8 @@
 //! average out within a block, slow motion does not, and it is not divided by their number either. The larger of the
 //! two counts, in every direction.
 
-use nalgebra::{Matrix3, SymmetricEigen, U3, Vector3};
+use crate::whitening::Whitened;
+use nalgebra::{Matrix3, Vector3};
 
 /// Blocks of a recording at rest, and the fewest frames.
 pub(super) const BLOCKS: usize = 5;
@@ -76,30 +77,17 @@ fn along(covariance: &Matrix3<f64>, direction: &Vector3<f64>) -> f64 {
 
 /// The largest of vᵀ·a·v / vᵀ·b·v over all directions v, and the (unit) direction it is in. `b` is positive definite.
 fn largest_ratio(a: &Matrix3<f64>, b: &Matrix3<f64>) -> (f64, Vector3<f64>) {
-    let Some(Whitened { inverse, eigen, .. }) = whitened(a, b) else { return (f64::INFINITY, Vector3::x()) };
-    let at = eigen.eigenvalues.imax();
-    (eigen.eigenvalues[at], (inverse.transpose() * eigen.eigenvectors.column(at)).normalize())
+    let Some(Whitened { inverse, ratios, .. }) = Whitened::of(a, b) else { return (f64::INFINITY, Vector3::x()) };
+    let at = ratios.eigenvalues.imax();
+    (ratios.eigenvalues[at], (inverse.transpose() * ratios.eigenvectors.column(at)).normalize())
 }
 
 /// A covariance that is nowhere smaller than `a` or `b`: in the axes in which `a` is the unit matrix and `b` diagonal,
 /// the larger of the two on each.
 fn larger(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix3<f64> {
-    let Some(Whitened { root, eigen, .. }) = whitened(b, a) else { return a + b };
-    let axes = root * eigen.eigenvectors;
-    axes * Matrix3::from_diagonal(&eigen.eigenvalues.map(|ratio| ratio.max(1.0))) * axes.transpose()
-}
-
-/// A covariance in coordinates in which another, root·rootᵀ, is the unit matrix.
-struct Whitened {
-    root: Matrix3<f64>,
-    inverse: Matrix3<f64>,
-    eigen: SymmetricEigen<f64, U3>,
-}
-
-fn whitened(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Option<Whitened> {
-    let root = b.cholesky()?.l();
-    let inverse = root.try_inverse()?;
-    Some(Whitened { root, inverse, eigen: (inverse * a * inverse.transpose()).symmetric_eigen() })
+    let Some(Whitened { root, ratios, .. }) = Whitened::of(b, a) else { return a + b };
+    let axes = root * ratios.eigenvectors;
+    axes * Matrix3::from_diagonal(&ratios.eigenvalues.map(|ratio| ratio.max(1.0))) * axes.transpose()
 }
 
 #[cfg(test)]

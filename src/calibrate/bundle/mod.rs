@@ -392,6 +392,7 @@ pub(super) mod tests {
     use super::*;
     use crate::calibrate::geometry::tests::geometry;
     use crate::calibrate::tests::gaussian;
+    use crate::whitening::chi_square;
     use nalgebra::{Translation3, UnitQuaternion, Vector6};
 
     #[test]
@@ -522,9 +523,8 @@ pub(super) mod tests {
         }
         let solved = with.solve().unwrap();
         assert!((solved.corner_sd_px / clean.corner_sd_px - 1.0).abs() < 0.15);
-        let whitened = clean.covariance.clone().cholesky().unwrap().inverse();
         let moved = error(&solved, &truth) - error(&clean, &truth);
-        let chi2 = moved.dot(&(whitened * &moved)) / moved.len() as f64;
+        let chi2 = chi_square(&moved, clean.covariance).unwrap() / moved.len() as f64;
         assert!(chi2 < 0.5, "moved by {chi2} of its covariance");
     }
 

@@ -6,6 +6,7 @@ use super::CameraCalibration;
 use super::models::Model;
 use crate::calibrate::least_squares::sigmas;
 use crate::optics::Lens;
+use crate::whitening::chi_square;
 use nalgebra::{DVector, Point2, Vector2};
 
 /// What to do about a lens that needs another model.
@@ -154,7 +155,7 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     }
     let bend = DVector::from_row_slice(done.shape.bend_m());
     let covariance = done.shape_covariance.view((0, 0), (bend.len(), bend.len())).into_owned();
-    let sigmas = covariance.cholesky().map_or(0.0, |known| sigmas(bend.dot(&known.solve(&bend)), bend.len()));
+    let sigmas = chi_square(&bend, covariance).map_or(0.0, |chi2| sigmas(chi2, bend.len()));
     let (sag_m, half_m) = (done.shape.sag_m(places), done.shape.half_m());
     if sigmas > BEND_REPORTED.0 && sag_m > BEND_REPORTED.1 * half_m {
         all.push(CameraDiagnostic::Bent { sag_mm: sag_m * 1e3, percent: 50.0 * sag_m / half_m, sigmas });

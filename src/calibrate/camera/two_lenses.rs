@@ -22,6 +22,7 @@ use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
 use crate::calibrate::geometry::Parameter;
 use crate::optics::Lens;
+use crate::whitening::chi_square;
 use nalgebra::{DMatrix, DVector, Vector4};
 use rayon::prelude::*;
 
@@ -76,7 +77,7 @@ fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> 
         let off = Vector4::new(f.x, f.y, c.x, c.y);
         // They come first.
         let together = (a.covariance + b.covariance).fixed_view::<4, 4>(0, 0).into_owned();
-        let chi2 = off.dot(&together.cholesky()?.solve(&off));
+        let chi2 = chi_square(&off, together)?;
         (chi2 > MOVED_CHI2).then_some((chi2, TwoLenses { groups, lenses }))
     };
     let found = MOMENTS.into_iter().filter_map(at);
@@ -93,8 +94,7 @@ fn in_any_order(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
         Parameter::of_lens(&a.geometry.lens).len(),
         Parameter::of_lens(&a.geometry.lens).iter().map(|p| a.geometry.value(*p) - b.geometry.value(*p)),
     );
-    let together = (&a.covariance + &b.covariance).cholesky()?;
-    let apart = off.dot(&together.solve(&off)) / off.len() as f64;
+    let apart = chi_square(&off, &a.covariance + &b.covariance)? / off.len() as f64;
     (apart * (all / best.left - 1.0) > MIN_EVIDENCE)
         .then_some(TwoLenses { groups: best.groups, lenses: [a.geometry.lens, b.geometry.lens] })
 }

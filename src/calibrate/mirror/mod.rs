@@ -30,6 +30,7 @@ use crate::rig::Rig;
 use crate::segment::{Blob, SegmentError, Segmenter};
 use crate::source::{Frame, FrameSource, SourceError};
 use crate::track::{ModelError, TrackError, TrackOptions, Tracker};
+use crate::whitening::chi_square;
 use nalgebra::{DMatrix, DVector, Matrix2, Vector3};
 use std::collections::BTreeSet;
 
@@ -294,8 +295,7 @@ impl MirrorCalibration {
     /// Whether it moved significantly, at the 5 % level: χ² of the rotations and the shift together.
     pub fn has_moved(&self) -> bool {
         let moved = DVector::from_row_slice(&self.moved());
-        let chi2 = self.covariance.clone().cholesky().map(|root| moved.dot(&root.solve(&moved)));
-        chi2.is_none_or(|chi2| chi2 > CHI2_3_95)
+        chi_square(&moved, self.covariance.clone()).is_none_or(|chi2| chi2 > CHI2_3_95)
     }
 }
 
