@@ -17,6 +17,7 @@
 use super::warned::Work;
 use super::{Exit, Failure, output};
 use serde_json::{Value, json};
+use std::error::Error;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -75,6 +76,20 @@ impl Outcome {
         }
         Ok(())
     }
+
+    /// Sets the results to what a file that was written has; it is read again only if they are needed.
+    ///
+    /// # Errors
+    /// When they are needed and the file cannot be read.
+    pub(super) fn found_in(
+        &self,
+        file: &Path,
+        parse: impl FnOnce(&str) -> Result<Value, Box<dyn Error>>,
+    ) -> Result<(), Failure> {
+        let read = || parse(&std::fs::read_to_string(file)?);
+        let cannot = |why| Failure::new(Exit::Failed, format!("{}: cannot be read again: {why}", file.display()));
+        self.found(|| read().map_err(cannot))
+    }
 }
 
 /// Notes that a file was written.
@@ -127,9 +142,12 @@ mod tests {
     #[test]
     fn results_that_are_needed_and_missing_are_a_failure() {
         let outcome = |json| Outcome { json, quiet: true, text: Mutex::default(), results: Mutex::default() };
-        let missing = || Err(Failure::new(Exit::Failed, "model.json: cannot be read again"));
-        assert_eq!(outcome(true).found(missing).unwrap_err().exit(), Exit::Failed);
-        assert!(outcome(false).found(missing).is_ok());
+        let missing =
+            |json| outcome(json).found_in(Path::new("missing/model.json"), |text| Ok(serde_json::from_str(text)?));
+        let failure = missing(true).unwrap_err();
+        assert_eq!(failure.exit(), Exit::Failed);
+        assert!(failure.message().starts_with("missing/model.json: cannot be read again: "), "{failure:?}");
+        assert!(missing(false).is_ok());
         let good = outcome(true);
         good.found(|| Ok(json!(7))).unwrap();
         assert_eq!(*lock(&good.results), 7);

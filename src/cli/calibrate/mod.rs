@@ -101,14 +101,7 @@ fn calibrate(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure>
     };
     if ended.is_ok() {
         // As it is now, with the provenance of every number.
-        let cannot = |why: &dyn std::fmt::Display| {
-            Failure::new(Exit::Failed, format!("{}: cannot be read again: {why}", rig.display()))
-        };
-        outcome.found(|| {
-            let text = std::fs::read_to_string(rig).map_err(|e| cannot(&e))?;
-            let rig: toml::Table = text.parse().map_err(|e| cannot(&e))?;
-            serde_json::to_value(rig).map_err(|e| cannot(&e))
-        })?;
+        outcome.found_in(rig, |text| Ok(serde_json::to_value(text.parse::<toml::Table>()?)?))?;
     }
     ended
 }

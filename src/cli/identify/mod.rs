@@ -71,13 +71,7 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
 fn report_files(outcome: &Outcome, written: &[PathBuf]) -> Result<(), Failure> {
     written.iter().for_each(|path| outcome::wrote(path));
     let Some(model) = written.iter().find(|path| path.ends_with("model.json")) else { return Ok(()) };
-    let cannot = |why: &dyn std::fmt::Display| {
-        Failure::new(Exit::Failed, format!("{}: cannot be read again: {why}", model.display()))
-    };
-    outcome.found(|| {
-        let text = std::fs::read_to_string(model).map_err(|e| cannot(&e))?;
-        serde_json::from_str(&text).map_err(|e| cannot(&e))
-    })
+    outcome.found_in(model, |text| Ok(serde_json::from_str(text)?))
 }
 
 /// A failure that names its records.
