@@ -10,18 +10,16 @@ use super::motion::MotionError;
 use super::picture::{Renderer, Stored};
 use super::timing::Stamp;
 use crate::source::host::{ClockFit, HostClock};
+use crate::source::pace::{POLL_INTERVAL, Pace};
 use crate::source::{Clock, Frame, FrameSource, SourceError, Timestamp};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::thread::{Builder, JoinHandle};
-use std::time::{Duration, Instant};
 
 /// Frames that are rendered ahead of time.
 pub const MAX_AHEAD: usize = 16;
-/// How long it sleeps before it looks whether it shall stop.
-const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Where the catheter is in a frame of the list.
 pub type Motion = Box<dyn FnMut(usize, Stamp) -> Result<Exposed, MotionError> + Send>;
@@ -33,7 +31,8 @@ pub struct LiveScene {
     /// Rendered before anything else begins: its time is not that of the run.
     first: Option<Result<Frame, MotionError>>,
     frames: Receiver<Result<Frame, MotionError>>,
-    began: Arc<OnceLock<Instant>>,
+    /// From the first frame that was asked for.
+    pace: Arc<OnceLock<Pace>>,
     first_ns: i64,
     clock: HostClock,
     fit: ClockFit,
@@ -55,9 +54,9 @@ impl LiveScene {
         stop: Arc<AtomicBool>,
     ) -> Result<Self, SourceError> {
         let (out, frames) = sync_channel(MAX_AHEAD);
-        let began = Arc::new(OnceLock::new());
+        let pace = Arc::new(OnceLock::new());
         let (size_px, first_ns) = (renderer.size_px(), stamps.first().map_or(0, |stamp| stamp.ns));
-        let work = Work { renderer, motion, stamps, seed, began: Arc::clone(&began), stop: Arc::clone(&stop), out };
+        let work = Work { renderer, motion, stamps, seed, pace: Arc::clone(&pace), stop: Arc::clone(&stop), out };
         let spawned = Builder::new().name("renderer".to_owned()).spawn(move || work.run());
         let failed = |e: std::io::Error| SourceError::Camera {
             name: name.to_owned(),
@@ -66,7 +65,7 @@ impl LiveScene {
         let renderer = Some(spawned.map_err(failed)?);
         let (name, fit) = (name.to_owned(), ClockFit::default());
         let first = frames.recv().ok();
-        Ok(Self { name, size_px, first, frames, began, first_ns, clock, fit, stop, renderer })
+        Ok(Self { name, size_px, first, frames, pace, first_ns, clock, fit, stop, renderer })
     }
 
     /// Waits until something comes; `None` when nothing will, or when asked to stop.
@@ -82,26 +81,6 @@ impl LiveScene {
             }
         }
     }
-
-    /// Waits until a frame stamped `ns` is due; false when asked to stop.
-    fn wait(&self, ns: i64) -> bool {
-        let began = *self.began.get_or_init(Instant::now);
-        loop {
-            if self.stop.load(Ordering::Relaxed) {
-                return false;
-            }
-            let rest = due(began, self.first_ns, ns).saturating_duration_since(Instant::now());
-            if rest.is_zero() {
-                return true;
-            }
-            std::thread::sleep(rest.min(POLL_INTERVAL));
-        }
-    }
-}
-
-/// When a frame is due.
-fn due(began: Instant, first_ns: i64, ns: i64) -> Instant {
-    began + Duration::from_nanos(u64::try_from(ns.saturating_sub(first_ns)).unwrap_or(0))
 }
 
 impl FrameSource for LiveScene {
@@ -109,7 +88,8 @@ impl FrameSource for LiveScene {
         let Some(rendered) = self.rendered() else { return Ok(None) };
         let lost = |e: MotionError| SourceError::Camera { name: self.name.clone(), reason: e.to_string() };
         let mut frame = rendered.map_err(lost)?;
-        if !self.wait(frame.stamp.ns) {
+        let pace = self.pace.get_or_init(|| Pace::from_now(self.first_ns));
+        if !pace.wait(frame.stamp.ns, &self.stop) {
             return Ok(None);
         }
         frame.host = Some(self.fit.map(frame.stamp.ns, self.clock.now_ns()));
@@ -143,7 +123,7 @@ struct Work {
     motion: Motion,
     stamps: Vec<Stamp>,
     seed: u64,
-    began: Arc<OnceLock<Instant>>,
+    pace: Arc<OnceLock<Pace>>,
     stop: Arc<AtomicBool>,
     out: SyncSender<Result<Frame, MotionError>>,
 }
@@ -187,8 +167,7 @@ impl Work {
     }
 
     fn is_overdue(&self, stamp: Stamp) -> bool {
-        let first_ns = self.stamps.first().map_or(0, |first| first.ns);
-        self.began.get().is_some_and(|began| due(*began, first_ns, stamp.ns) < Instant::now())
+        self.pace.get().is_some_and(|pace| pace.is_overdue(stamp.ns))
     }
 }
 

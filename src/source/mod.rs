@@ -27,6 +27,7 @@ mod log_windows;
 mod messages;
 mod names;
 mod open;
+pub(crate) mod pace;
 mod picture;
 mod quantisation;
 mod reads;

@@ -4,10 +4,10 @@
 //! nothing.
 
 use super::super::host::{ClockFit, HostClock};
+use super::super::pace::Pace;
 use super::super::{Frame, FrameSource, SourceError, StreamFaults};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::AtomicBool;
 
 /// A recording at its own pace.
 pub struct Paced {
@@ -15,41 +15,22 @@ pub struct Paced {
     clock: HostClock,
     fit: ClockFit,
     stop: Arc<AtomicBool>,
-    /// When the first frame was passed on, and its stamp.
-    began: Option<(Instant, i64)>,
+    /// From the first frame on.
+    pace: Option<Pace>,
 }
-
-/// How long it sleeps before it checks the stop flag.
-const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 impl Paced {
     /// Plays `recording`.
     pub fn new(recording: Box<dyn FrameSource + Send>, clock: HostClock, stop: Arc<AtomicBool>) -> Self {
-        Self { recording, clock, fit: ClockFit::default(), stop, began: None }
-    }
-
-    /// Waits until the frame stamped `ns` is due; false when asked to stop.
-    fn wait(&mut self, ns: i64) -> bool {
-        let (began, first_ns) = *self.began.get_or_insert_with(|| (Instant::now(), ns));
-        // A stamp that goes back is due at once.
-        let due = began + Duration::from_nanos(u64::try_from(ns.saturating_sub(first_ns)).unwrap_or(0));
-        loop {
-            if self.stop.load(Ordering::Relaxed) {
-                return false;
-            }
-            let rest = due.saturating_duration_since(Instant::now());
-            if rest.is_zero() {
-                return true;
-            }
-            std::thread::sleep(rest.min(POLL_INTERVAL));
-        }
+        Self { recording, clock, fit: ClockFit::default(), stop, pace: None }
     }
 }
 
 impl FrameSource for Paced {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         let Some(mut frame) = self.recording.next_frame()? else { return Ok(None) };
-        if !self.wait(frame.stamp.ns) {
+        let pace = self.pace.get_or_insert_with(|| Pace::from_now(frame.stamp.ns));
+        if !pace.wait(frame.stamp.ns, &self.stop) {
             return Ok(None);
         }
         frame.host = Some(self.fit.map(frame.stamp.ns, self.clock.now_ns()));
