@@ -277,7 +277,7 @@ impl Measured {
             first_ns: tally.first_ns,
             last_ns: tally.last_ns,
             clock: tally.clock.to_owned(),
-            duration_s: tally.last_ns.saturating_sub(tally.first_ns) as f64 * 1e-9,
+            duration_s: tally.duration_s(),
             theta: angle(&tally.theta),
             tangent: angle(&tally.tangent),
             markers: tally.markers.iter().map(marker).collect(),

@@ -109,10 +109,9 @@ fn key_figures(info: &RunInfo, course: &Course, tally: &Tally) -> String {
 fn facts(info: &RunInfo, course: &Course, tally: &Tally) -> String {
     let mut rows = vec![("Source".to_owned(), info.source.clone()), ("Rig".to_owned(), info.rig.clone())];
     if tally.frames > 0 {
-        let span_s = tally.last_ns.saturating_sub(tally.first_ns) as f64 * 1e-9;
         let counted = if tally.lost > 0 { " with those lost counted" } else { "" };
         let rate = tally.rate_hz().map_or(String::new(), |hz| format!(", {hz:.2} frames per second{counted}"));
-        rows.push(("Duration".to_owned(), format!("{span_s:.3} s{rate}")));
+        rows.push(("Duration".to_owned(), format!("{:.3} s{rate}", tally.duration_s())));
         let origin = course.origin().filter(|o| o.ns != 0);
         let zero = origin.map_or(String::new(), |o| format!("; 0 s on this page is {} ns of it", o.ns));
         rows.push(("Clock".to_owned(), format!("{}{zero}", tally.clock)));

@@ -1,5 +1,7 @@
 //! Zero of the time axis in files for people.
 
+use crate::source::times::seconds;
+
 /// Start of the time axis of an overlay video or a report, nanoseconds of the camera's clock.
 ///
 /// Recordings count from near zero and are shown with their own times. With clocks that count from the computer's start
@@ -26,7 +28,7 @@ impl Origin {
 
     /// Seconds on the axis; the difference is taken in whole nanoseconds first.
     pub(crate) fn elapsed_s(self, stamp_ns: i64) -> f64 {
-        self.elapsed_ns(stamp_ns) as f64 * 1e-9
+        seconds(self.elapsed_ns(stamp_ns))
     }
 }
 

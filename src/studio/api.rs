@@ -2,6 +2,7 @@
 
 use super::desk::Desk;
 use super::{Refusal, Reply, board_camera, boards, review, teach, veto};
+use crate::source::times::seconds;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -82,7 +83,7 @@ fn reel(desk: &Desk, asked: &ReelAsked) -> Result<Reply, Refusal> {
     let us: Vec<i64> = indexed.stamps_ns.iter().skip(asked.known).map(|ns| (ns - first_ns) / 1000).collect();
     Ok(Reply::Json(json!({
         "size": reel.size_px(),
-        "first_s": first_ns as f64 * 1e-9,
+        "first_s": seconds(first_ns),
         "times_us": us,
         "done": indexed.done,
         "hint": reel.hint(),

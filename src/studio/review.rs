@@ -4,6 +4,7 @@ use super::desk::Desk;
 use super::run::{Row, Run};
 use super::{Refusal, Reply, scene, veto};
 use crate::estimate::{Miss, plain_words};
+use crate::source::times::seconds;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -47,7 +48,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
     let theta = |pick: fn(&(f64, f64)) -> f64| -> Vec<Value> {
         run.rows.iter().map(|row| row.theta.as_ref().map_or(Value::Null, |t| short(pick(t).to_degrees()))).collect()
     };
-    let since_first_s = |ns: i64| (ns - first_ns) as f64 * 1e-9;
+    let since_first_s = |ns: i64| seconds(ns - first_ns);
     let alarm = |(ns, over_ns, what): &(i64, Option<i64>, String)| json!({ "t_s": since_first_s(*ns), "over_s": over_ns.map(since_first_s), "what": what });
     let (vetoes, vetoes_of_none) = veto::standing(&run)?;
     Ok(Reply::Json(json!({
@@ -56,7 +57,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
         "rig": run.rig_path,
         "markers": run.markers,
         "views": run.views,
-        "first_s": first_ns as f64 * 1e-9,
+        "first_s": seconds(first_ns),
         "t_s": run.rows.iter().map(|row| json!(((row.stamp_ns - first_ns) / 1000) as f64 / 1e6)).collect::<Vec<_>>(),
         "theta_deg": theta(|t| t.0),
         "sd_deg": theta(|t| t.1),

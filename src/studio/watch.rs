@@ -5,6 +5,7 @@ use crate::estimate::Estimate;
 use crate::live::{Latest, RecordSwitch, lower_priority};
 use crate::rig::Rig;
 use crate::sink::ToBgr;
+use crate::source::times::seconds;
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use nalgebra::Isometry3;
 use serde::Deserialize;
@@ -105,7 +106,7 @@ impl Watch {
         Reply::Json(json!({
             "rows": rows,
             "currents": currents.iter().map(|sample| json!({
-                "host_ns": sample.host_ns.to_string(), "host_s": sample.host_ns as f64 * 1e-9, "a": sample.current_a,
+                "host_ns": sample.host_ns.to_string(), "host_s": seconds(sample.host_ns), "a": sample.current_a,
             })).collect::<Vec<_>>(),
             "status": {
                 "frames": status.frames, "rate": status.new_frames, "lost": status.lost, "skipped": status.skipped,
@@ -116,7 +117,7 @@ impl Watch {
                 "not_shown": self.latest.missed(),
                 "recording": recording,
                 "alarms": status.alarms.iter().map(|alarm| json!({
-                    "t_s": alarm.ns as f64 * 1e-9, "over_s": alarm.over_ns.map(|ns| ns as f64 * 1e-9),
+                    "t_s": seconds(alarm.ns), "over_s": alarm.over_ns.map(seconds),
                     "what": alarm.what, "advice": alarm.advice,
                 })).collect::<Vec<_>>(),
             },
@@ -132,7 +133,7 @@ impl Watch {
             "seq": row.seq,
             "t_s": row.stamp.seconds(),
             // When it was exposed, as the samples of currents say when they flowed.
-            "host_s": row.host.map(|host| host.stamp_ns as f64 * 1e-9),
+            "host_s": row.host.map(|host| seconds(host.stamp_ns)),
             "gap": row.gap,
             "theta_deg": row.deflection.as_ref().ok().map(|d| [d.theta_rad, d.theta_sd_rad].map(f64::to_degrees)),
             "status": row.deflection.as_ref().err().map(|miss| miss.plain_words(&views)),

@@ -14,6 +14,7 @@ pub use drift::{Drift, DriftAlarm, Drifted};
 use crate::estimate::{Estimate, Miss, Spot, Tick};
 use crate::median::median;
 use crate::rig::Rig;
+use crate::source::times::seconds;
 
 /// Camera time between reports of the totals.
 const REPORT_EVERY_NS: u64 = 1_000_000_000;
@@ -332,10 +333,15 @@ impl Tally {
         reasons
     }
 
+    /// Camera time from the first frame to the last, seconds.
+    pub fn duration_s(&self) -> f64 {
+        seconds(self.last_ns.saturating_sub(self.first_ns))
+    }
+
     /// Frames per second over the whole run, including those lost by the camera.
     pub fn rate_hz(&self) -> Option<f64> {
-        let span_s = (self.last_ns.saturating_sub(self.first_ns)) as f64 * 1e-9;
-        (self.frames > 1 && span_s > 0.0).then(|| (self.frames - 1 + self.lost) as f64 / span_s)
+        let duration_s = self.duration_s();
+        (self.frames > 1 && duration_s > 0.0).then(|| (self.frames - 1 + self.lost) as f64 / duration_s)
     }
 }
 

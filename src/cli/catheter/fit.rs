@@ -14,11 +14,11 @@ use crate::digits::fixed;
 use crate::plural::plural;
 use crate::report::catheter_fit;
 use crate::series::{CurrentTable, Recording};
+use crate::source::times::seconds;
 use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-const NS_PER_S: f64 = 1e9;
 /// The last command is held for longer than seems meant: over so many times the longest of the others, and seconds.
 const HELD_TOO_LONG: (f64, f64) = (5.0, 1.0);
 const FILES: [&str; 3] = ["catheter.toml", "fit.csv", "fit.html"];
@@ -194,17 +194,17 @@ impl FitArgs {
             return Err(wrong("has no frame, or no current"));
         };
         let zero_ns = first.min(frame.stamp_ns);
-        let seconds = |ns: i64| (ns - zero_ns) as f64 / NS_PER_S;
+        let since_zero_s = |ns: i64| seconds(ns - zero_ns);
         let value = |row: &[f64], column: Option<usize>| column.and_then(|k| row.get(k)).copied().unwrap_or(0.0);
         let rows = commands
             .iter()
-            .map(|(ns, values)| (seconds(*ns), Vector3::from(coils.map(|column| value(values, column)))));
+            .map(|(ns, values)| (since_zero_s(*ns), Vector3::from(coils.map(|column| value(values, column)))));
         let commands = Commands::new(catheter, rows).map_err(|e| wrong(&e.to_string()))?;
         let sightings: Vec<Sighting> = recording
             .frames
             .iter()
             .map(|frame| Sighting {
-                time_s: seconds(frame.stamp_ns),
+                time_s: since_zero_s(frame.stamp_ns),
                 coil: frame.places.get(coil).and_then(|place| place.point).map(|point| point + origin),
                 tip: frame.places.get(tip).and_then(|place| place.point).map(|point| point + origin),
                 tangent: frame.tangent,

@@ -14,6 +14,7 @@ use crate::catheter::{Catheter, CatheterError, Followed, Load, Target, equilibri
 use crate::plural::plural;
 use crate::report::catheter as pages;
 use crate::series::{SeriesError, columns, play};
+use crate::sink::decimal_seconds;
 use clap::Subcommand;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
@@ -276,7 +277,7 @@ impl FollowArgs {
             let rows = self.rows(&followed, *pause_s);
             let mut csv = format!("t_s,{a},{b},{c}\r\n");
             for (time_ns, i) in &rows {
-                let _ = write!(csv, "{:.9},{:.9},{:.9},{:.9}\r\n", *time_ns as f64 * 1e-9, i[0], i[1], i[2]);
+                let _ = write!(csv, "{},{:.9},{:.9},{:.9}\r\n", decimal_seconds(*time_ns), i[0], i[1], i[2]);
             }
             save(&self.out.join(format!("{table}.csv")), &csv)?;
             let list = play::write(rows.iter().map(|(time_ns, i)| (*time_ns, i.as_slice())));

@@ -8,13 +8,14 @@ use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, rec
 use crate::log::schema::table;
 use crate::plural::plural;
 use crate::series::CurrentTable;
+use crate::sink::decimal_seconds;
+use crate::source::times::seconds;
 use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Most frames: an hour at a thousand per second.
 const MAX_FRAMES: f64 = 3.6e6;
-const NS_PER_S: f64 = 1e9;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct RunArgs {
@@ -78,7 +79,7 @@ impl Columns {
         let columns = self.of(&table.coils).map_err(|why| Failure::usage(format!("{file}: {why}")))?;
         let value = |row: &[f64], column: Option<usize>| column.and_then(|k| row.get(k)).copied().unwrap_or(0.0);
         let rows = table.rows.iter().map(|row| {
-            let time_s = row.time_ns as f64 / NS_PER_S + shift_s;
+            let time_s = seconds(row.time_ns) + shift_s;
             (time_s, Vector3::from(columns.map(|column| value(&row.values_a, column))))
         });
         let rows: Vec<(f64, Vector3<f64>)> = rows.collect();
@@ -130,7 +131,7 @@ impl RunArgs {
         }
         let table = CurrentTable::read(&self.currents).map_err(Failure::usage)?;
         // Times of the host or the camera begin anew.
-        let first_s = table.rows.first().map_or(0.0, |row| row.time_ns as f64 / NS_PER_S);
+        let first_s = table.rows.first().map_or(0.0, |row| seconds(row.time_ns));
         let since_s = if table.clock == crate::series::CurrentClock::Start { 0.0 } else { first_s };
         let delay_s = self.delay.unwrap_or(0.0);
         let commands = self.columns.commands(&catheter, &table, delay_s - since_s)?;
@@ -172,9 +173,9 @@ fn rows(moments: &[Moment], sightings: &[Sighting], noise: Noise, origin_m: f64)
     let sd = |value: f64| if value > 0.0 { format!("{value:.6}") } else { String::new() };
     let (point_sd, angle_sd) = (sd(noise.point_m * 1e3), sd(noise.angle_rad.to_degrees()));
     for (k, (moment, at)) in moments.iter().zip(sightings).enumerate() {
-        let stamp_ns = (at.time_s * NS_PER_S).round() as i64;
+        let stamp_ns = (at.time_s * 1e9).round() as i64;
         // Writing into text cannot fail.
-        let _ = write!(text, "{k},{}.{:09},{stamp_ns}", stamp_ns / 1_000_000_000, stamp_ns % 1_000_000_000);
+        let _ = write!(text, "{k},{},{stamp_ns}", decimal_seconds(stamp_ns));
         match at.tangent {
             Some(t) => {
                 let theta_deg = t.x.atan2(t.z).to_degrees();
