@@ -4,7 +4,7 @@ use super::frozen::Frozen;
 use super::jump::Jump;
 use super::model::Orders;
 use super::model_error::ModelError;
-use super::nonlinear::{Element, Nonlinear};
+use super::nonlinear::Nonlinear;
 use super::outliers::Outliers;
 use std::fmt;
 
@@ -249,6 +249,42 @@ pub enum WayBack {
     Unknown,
 }
 
+/// Whether a model that explains little is of too low an order, or of another input.
+fn why_poor(linear: Option<f64>) -> String {
+    match linear {
+        Some(part) if part > MIN_EXPLAINED => {
+            let percent = 100.0 * part;
+            format!("{percent:.0} % of it follow the input, so a higher order, or another delay, would explain more")
+        }
+        _ => "is this the input that moved it?".to_owned(),
+    }
+}
+
+/// What times are probably in that give so long a period as seconds: samples are 10 to 10,000 times a second.
+fn likely_unit(period_s: f64) -> &'static str {
+    match period_s {
+        ..=100.0 => "milliseconds",
+        ..=1e5 => "microseconds",
+        _ => "nanoseconds",
+    }
+}
+
+impl fmt::Display for WayBack {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let fed_back = "noise of the output is fed back into it, which biases ARX; compare with";
+        match self {
+            Self::Open => write!(
+                f,
+                "currents that were commanded know nothing of the output, so that their times are late (--delay), or \
+                 an input that repeats is alike at other lags"
+            ),
+            Self::Instrument => write!(f, "{fed_back} --estimator iv"),
+            // Without an instrument the input would be its own, including the noise.
+            Self::Unknown => write!(f, "{fed_back} a record without feedback"),
+        }
+    }
+}
+
 impl fmt::Display for Diagnostic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -269,20 +305,11 @@ impl fmt::Display for Diagnostic {
                 "{record}: {title} simulates it worse than zero would ({error_percent:.0} % of the energy left), but \
                  not the data it was fitted to: are units, coil, delay and signs the same? Orders were judged by it too"
             ),
-            Self::Poor { title, error_percent, linear } => {
-                write!(
-                    f,
-                    "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: "
-                )?;
-                match linear {
-                    Some(part) if *part > MIN_EXPLAINED => write!(
-                        f,
-                        "{:.0} % of it follow the input, so a higher order, or another delay, would explain more",
-                        100.0 * part
-                    ),
-                    _ => write!(f, "is this the input that moved it?"),
-                }
-            }
+            Self::Poor { title, error_percent, linear } => write!(
+                f,
+                "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: {}",
+                why_poor(*linear)
+            ),
             Self::Together { coils, ratio } => write!(
                 f,
                 "the currents of {} change almost only together ({:.1} % of it apart): which of them moves the \
@@ -305,52 +332,15 @@ impl fmt::Display for Diagnostic {
             Self::OffCentre { what, ratio } => {
                 write!(f, "the mean of the {what} is {ratio:.1} times its spread: --detrend mean takes it off")
             }
-            Self::Outlying { record, outliers: Outliers { count, sample, time_s, value, modelled } } => write!(
-                f,
-                "{record}: {} far from what comes before and after, the worst {value:.6} at sample {sample}, \
-                 {time_s:.3} s, where {modelled:.6} is expected: correct wrong values, or leave the cells empty",
-                if *count == 1 { "an output is".to_owned() } else { format!("{count} outputs are") }
-            ),
+            Self::Outlying { record, outliers } => write!(f, "{record}: {outliers}"),
             Self::Gains { records: [(less, least), (more, most)] } => write!(
                 f,
                 "{more} would fit the common model best times {most:.3}, {less} times {least:.3}: other units, another \
                  coil or amplifier range? Identify them one by one"
             ),
-            Self::Jumps { record, jump: Jump { time_s, by } } => write!(
-                f,
-                "{record}: from {time_s:.2} s on the output lies {by:+.3} from where it was before, compared with the \
-                 model: did the camera, the mirror or the base move, or does the output drift? The constant term is \
-                 wrong by a part of it"
-            ),
-            Self::Frozen { record, frozen: Frozen { from_s, samples, value, ratio } } => write!(
-                f,
-                "{record}: the input is {value:.6} for {samples} samples from {from_s:.3} s on, far longer than usual, \
-                 and the error of the model is {ratio:.1} times as large meanwhile: did its sensor or the logging \
-                 hang? Leave this part out"
-            ),
-            Self::Nonlinear { record, found: Nonlinear { of, element, sigmas } } => {
-                let sigmas = sigmas.abs();
-                match element {
-                    Element::Gain(change) => write!(
-                        f,
-                        "{record}: beyond half of the largest {of} the gain is {:.0} % {} than below it ({sigmas:.0} \
-                         σ): {} A linear model holds for one amplitude",
-                        100.0 * change.abs(),
-                        if *change < 0.0 { "smaller" } else { "larger" },
-                        if *change < 0.0 {
-                            "does the amplifier, or something in the way, limit it?"
-                        } else {
-                            "is there a dead zone, or friction?"
-                        }
-                    ),
-                    Element::Width(width) => write!(
-                        f,
-                        "{record}: what the output does depends on whether the {of} rises or falls, by {:.1} % of its \
-                         range ({sigmas:.0} σ): is there backlash, friction, or hysteresis?",
-                        100.0 * width
-                    ),
-                }
-            }
+            Self::Jumps { record, jump } => write!(f, "{record}: {jump}"),
+            Self::Frozen { record, frozen } => write!(f, "{record}: {frozen}"),
+            Self::Nonlinear { record, found } => write!(f, "{record}: {found}"),
             Self::AtLimit { record, count, value } => write!(
                 f,
                 "{record}: {count} outputs are exactly {value:.6}, and none is beyond: where a scale ends the model \
@@ -378,30 +368,11 @@ impl fmt::Display for Diagnostic {
                      bound): it leaves something unexplained"
                 )
             }
-            Self::FedBack { outside: (n, of), way } => {
-                let fed_back = "noise of the output is fed back into it, which biases ARX; compare with";
-                write!(
-                    f,
-                    "the input is correlated with earlier residuals ({n} of {of} lags outside the 99 % bound): "
-                )?;
-                match way {
-                    WayBack::Open => write!(
-                        f,
-                        "currents that were commanded know nothing of the output, so that their times are late \
-                         (--delay), or an input that repeats is alike at other lags"
-                    ),
-                    WayBack::Instrument => write!(f, "{fed_back} --estimator iv"),
-                    // Without an instrument the input would be its own, including the noise.
-                    WayBack::Unknown => write!(f, "{fed_back} a record without feedback"),
-                }
-            }
-            Self::ModelError { title, error: ModelError { refined_percent, full_percent } } => write!(
+            Self::FedBack { outside: (n, of), way } => write!(
                 f,
-                "{title}: its simulation leaves {refined_percent:.2} % of the energy, that of the full model \
-                 {full_percent:.2} %: most of what it leaves is no noise, but what its order cannot do. It has no σ, \
-                 since its coefficients are off by that, and by more than noise explains; the same is true of the \
-                 reduced model. For the gain, raise --reduce"
+                "the input is correlated with earlier residuals ({n} of {of} lags outside the 99 % bound): {way}"
             ),
+            Self::ModelError { title, error } => write!(f, "{title}: {error}"),
             Self::AtEdge { what, value, option } => write!(
                 f,
                 "{what} {value} is the last that was searched: a better one may lie beyond, search further with \
@@ -453,15 +424,11 @@ impl fmt::Display for Diagnostic {
                     "{periods} periods are averaged: from 7 on their noise is known well enough for the σ of H(s)"
                 )
             }
-            Self::Slow { period_s } => {
-                // Samples are 10 to 10,000 times a second.
-                let unit = match period_s {
-                    ..=100.0 => "milliseconds",
-                    ..=1e5 => "microseconds",
-                    _ => "nanoseconds",
-                };
-                write!(f, "samples are {period_s:.4} s apart: are the times {unit}? They are taken as seconds")
-            }
+            Self::Slow { period_s } => write!(
+                f,
+                "samples are {period_s:.4} s apart: are the times {}? They are taken as seconds",
+                likely_unit(*period_s)
+            ),
             Self::NoSpectrum => {
                 write!(
                     f,

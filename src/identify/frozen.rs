@@ -8,6 +8,7 @@ use super::colour::Colour;
 use super::data::Record;
 use super::fit::{InitialState, Kind, output};
 use super::model::Polynomials;
+use std::fmt;
 
 /// A run is long when it has this many samples, and is as much longer than most.
 const LONG: usize = 20;
@@ -30,6 +31,18 @@ pub struct Frozen {
     pub value: f64,
     /// RMS of the residual meanwhile over that elsewhere.
     pub ratio: f64,
+}
+
+impl fmt::Display for Frozen {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { from_s, samples, value, ratio } = self;
+        write!(
+            f,
+            "the input is {value:.6} for {samples} samples from {from_s:.3} s on, far longer than usual, and the error \
+             of the model is {ratio:.1} times as large meanwhile: did its sensor or the logging hang? Leave this part \
+             out"
+        )
+    }
 }
 
 /// The longest run of a record, if it is no sound input's.

@@ -6,6 +6,7 @@
 use super::data::Record;
 use super::fit::{InitialState, Kind, output};
 use super::model::Polynomials;
+use std::fmt;
 
 /// Part of the residual's variance that the two means must explain. Measured: up to 0.4 in records without a jump,
 /// whose slowest response is not modelled well.
@@ -24,6 +25,17 @@ pub struct Jump {
     pub time_s: f64,
     /// By how much, unit of the output.
     pub by: f64,
+}
+
+impl fmt::Display for Jump {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { time_s, by } = self;
+        write!(
+            f,
+            "from {time_s:.2} s on the output lies {by:+.3} from where it was before, compared with the model: did the \
+             camera, the mirror or the base move, or does the output drift? The constant term is wrong by a part of it"
+        )
+    }
 }
 
 /// Where the output of a record jumps, as `model` tells; `None` where it does not.

@@ -10,6 +10,7 @@
 use super::data::Segment;
 use super::estimated::Estimated;
 use super::fit::{InitialState, Kind, compare};
+use std::fmt;
 
 /// Ratio of the mean squares, corrected for the number of coefficients, from which it is told. A test holds that 20
 /// systems of second order, with 1000 samples each and a full model of order 8, stay below it.
@@ -24,6 +25,19 @@ pub struct ModelError {
     pub refined_percent: f64,
     /// The full one.
     pub full_percent: f64,
+}
+
+impl fmt::Display for ModelError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { refined_percent, full_percent } = self;
+        write!(
+            f,
+            "its simulation leaves {refined_percent:.2} % of the energy, that of the full model {full_percent:.2} %: \
+             most of what it leaves is no noise, but what its order cannot do. It has no σ, since its coefficients are \
+             off by that, and by more than noise explains; the same is true of the reduced model. For the gain, raise \
+             --reduce"
+        )
+    }
 }
 
 impl ModelError {

@@ -14,6 +14,7 @@ use super::data::{Record, Segment};
 use super::model::Polynomials;
 use super::regression::{Triangle, row, solve};
 use nalgebra::{DMatrix, DVector};
+use std::fmt;
 
 /// Order of the model, and rows for each of its coefficients.
 const ORDER: usize = 20;
@@ -46,6 +47,34 @@ pub struct Nonlinear {
     pub element: Element,
     /// Its size over its σ, with its sign.
     pub sigmas: f64,
+}
+
+impl fmt::Display for Nonlinear {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { of, element, sigmas } = self;
+        let sigmas = sigmas.abs();
+        match element {
+            Element::Gain(change) => {
+                let percent = 100.0 * change.abs();
+                let (more, why) = if *change < 0.0 {
+                    ("smaller", "does the amplifier, or something in the way, limit it?")
+                } else {
+                    ("larger", "is there a dead zone, or friction?")
+                };
+                write!(
+                    f,
+                    "beyond half of the largest {of} the gain is {percent:.0} % {more} than below it ({sigmas:.0} σ): \
+                     {why} A linear model holds for one amplitude"
+                )
+            }
+            Element::Width(width) => write!(
+                f,
+                "what the output does depends on whether the {of} rises or falls, by {:.1} % of its range \
+                 ({sigmas:.0} σ): is there backlash, friction, or hysteresis?",
+                100.0 * width
+            ),
+        }
+    }
 }
 
 /// The most significant of the four, if any is. `model` is a stable one of the record.

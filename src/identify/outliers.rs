@@ -7,6 +7,7 @@ use super::data::Record;
 use super::fit::{InitialState, Kind, output};
 use super::model::Polynomials;
 use crate::median::{SD_PER_MEDIAN_DEVIATION, upper_median};
+use std::fmt;
 
 /// Distance from the neighbours, in robust σ, beyond which a value is wrong.
 const OUTLYING_SD: f64 = 8.0;
@@ -29,6 +30,18 @@ pub struct Outliers {
     pub value: f64,
     /// What the model says.
     pub modelled: f64,
+}
+
+impl fmt::Display for Outliers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { count, sample, time_s, value, modelled } = self;
+        write!(
+            f,
+            "{} far from what comes before and after, the worst {value:.6} at sample {sample}, {time_s:.3} s, where \
+             {modelled:.6} is expected: correct wrong values, or leave the cells empty",
+            if *count == 1 { "an output is".to_owned() } else { format!("{count} outputs are") }
+        )
+    }
 }
 
 /// The output's distance from the model, compared with that of the neighbours: whatever the model does not explain
