@@ -3,8 +3,8 @@
 //! In subsampled channels each sample counts once for every pixel of the cell that it covers, so that a cell's sums
 //! mean the same in all formats. At the right and lower edge of a picture of odd size the last pixel counts twice.
 
-use super::{LARGEST_PX, SegmentError};
-use crate::source::{Picture, Plane};
+use super::SegmentError;
+use crate::source::{LARGEST_SIDE_PX, Picture, Plane};
 use multiversion::multiversion;
 use nalgebra::Vector2;
 
@@ -26,7 +26,7 @@ pub(super) struct Grid<'a> {
 impl<'a> Grid<'a> {
     pub(super) fn new(picture: &'a Picture, chroma_offset_px: Vector2<f64>) -> Result<Self, SegmentError> {
         let size_px = picture.size_px();
-        if size_px.iter().any(|&n| n > LARGEST_PX) {
+        if size_px.iter().any(|&n| n > LARGEST_SIDE_PX) {
             return Err(SegmentError::TooLarge(size_px[0], size_px[1]));
         }
         match (picture.plane(0), picture.plane(1), picture.plane(2)) {

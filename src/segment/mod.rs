@@ -32,7 +32,7 @@ pub use learn::{ClassSamples, LearnError, Learned, Separation, learn};
 
 use crate::rig::{ColourModel, Marker, Rig, View};
 pub use crate::source::Window;
-use crate::source::{NotRecorded, Picture};
+use crate::source::{LARGEST_SIDE_PX, NotRecorded, Picture};
 use cells::{CellSums, Grid};
 use components::Components;
 use discriminant::Discriminant;
@@ -46,9 +46,6 @@ pub(crate) const THRESHOLD: f32 = 0.5;
 
 /// Components with fewer cells are specks of compression noise; bands are at least two cells wide.
 const MIN_CELLS: usize = 3;
-
-/// Largest width and height, pixels: up to it all moments are exact in 64-bit integers.
-const LARGEST_PX: u32 = 16_384;
 
 impl Window {
     /// The cells it touches: columns and rows, half-open, within a picture of `size_px`.
@@ -175,7 +172,7 @@ pub enum SegmentError {
     #[error(transparent)]
     NotRecorded(#[from] NotRecorded),
     /// A picture too large for exact moments.
-    #[error("picture of {0}x{1} pixels, expected at most {LARGEST_PX} per side")]
+    #[error("picture of {0}x{1} pixels, expected at most {LARGEST_SIDE_PX} per side")]
     TooLarge(u32, u32),
 }
 

@@ -9,7 +9,8 @@ use crate::optics::{NoRay, Surface};
 use crate::rig::{Rig, polygon};
 use nalgebra::{Point2, Vector3};
 
-/// Blur where the rig does not know it, pixels: a sharp lens.
+/// Blur where the rig does not know it, pixels: that of a sharp lens, as measured. (The tracker assumes a little more,
+/// until it has seen pictures.)
 const BLUR_PX: f64 = 0.55;
 /// The clamp: how much wider than the tube, and its length, metres.
 const CLAMP_RADII: f64 = 2.6;
@@ -111,8 +112,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Blur of lens and pixel together, pixels.
-    pub(super) fn blur_px(&self, rig: &Rig) -> f64 {
+    /// Blur of lens and pixel together, pixels: the rig's, or that of a sharp lens.
+    pub fn blur_px(&self, rig: &Rig) -> f64 {
         rig.camera.blur_px.unwrap_or(BLUR_PX)
     }
 

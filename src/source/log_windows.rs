@@ -11,8 +11,8 @@
 
 use super::times::seconds;
 use super::{
-    ChromaSiting, Clock, Colour, CurrentSample, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat,
-    Quantisation, Range, SourceError, Span, StreamFaults, Timestamp, Transfer, Window,
+    ChromaSiting, Clock, Colour, CurrentSample, Frame, FrameSource, HostTime, LARGEST_SIDE_PX, Matrix, Picture,
+    PixelFormat, Quantisation, Range, SourceError, Span, StreamFaults, Timestamp, Transfer, Window,
 };
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{floats, list, number, text, word};
@@ -28,8 +28,7 @@ use std::collections::VecDeque;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-/// Larger pictures are damage: longest side and number of pixels.
-const LARGEST_PX: u32 = 1 << 14;
+/// Pictures with more pixels are damage.
 const MAX_PX: u64 = 1 << 27;
 
 /// The status of a frame whose picture was damaged.
@@ -284,7 +283,8 @@ fn row(estimate: &DynamicMessage) -> Result<Row, String> {
 fn layout_of(message: &DynamicMessage) -> Result<Layout, String> {
     let side = |field: &str| {
         let n = number(message, field).and_then(|n| u32::try_from(n).ok());
-        n.filter(|n| (1..=LARGEST_PX).contains(n)).ok_or_else(|| format!("`{field}` is not 1 to {LARGEST_PX}"))
+        n.filter(|n| (1..=LARGEST_SIDE_PX).contains(n))
+            .ok_or_else(|| format!("`{field}` is not 1 to {LARGEST_SIDE_PX}"))
     };
     let size_px = [side("width")?, side("height")?];
     if size_px.iter().map(|n| u64::from(*n)).product::<u64>() > MAX_PX {

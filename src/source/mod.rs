@@ -46,6 +46,7 @@ pub use images::{ImageFolder, ImageTiming};
 pub use log_windows::LogWindows;
 pub(crate) use names::conversion_advice;
 pub use open::{SourceOptions, open, open_to_track};
+pub(crate) use picture::LARGEST_SIDE_PX;
 pub use picture::{
     ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer,
 };

@@ -5,6 +5,9 @@ use super::{Quantisation, Window};
 use nalgebra::{Matrix3, Vector3};
 use std::sync::{Arc, Mutex};
 
+/// Largest width and height of a picture, pixels: up to it all moments of blobs are exact in 64-bit integers.
+pub(crate) const LARGEST_SIDE_PX: u32 = 16_384;
+
 /// How samples are stored, 8 bits each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PixelFormat {

@@ -235,7 +235,7 @@ impl Args {
                 self.board
             )));
         }
-        let blur_px = rig.camera.blur_px.unwrap_or(0.55);
+        let blur_px = scene.blur_px(rig);
         let middle = scene.rest.at(scene.length_m / 2.0).0;
         let name = |set: &str, k: usize| format!("{set}{k:03}.png");
         let sets = [("air", BoardSet::Air), ("rig", BoardSet::Rig)];

@@ -7,7 +7,9 @@
 use super::super::decoded::PictureMaker;
 use super::super::host::HostClock;
 use super::super::stamps::StampWatch;
-use super::super::{Clock, Frame, FrameRate, FrameSource, HostTime, SourceError, StreamFaults, Timestamp};
+use super::super::{
+    Clock, Frame, FrameRate, FrameSource, HostTime, LARGEST_SIDE_PX, SourceError, StreamFaults, Timestamp,
+};
 use super::catching_up::CatchingUp;
 use super::samples;
 use super::stalls::Stalls;
@@ -34,11 +36,10 @@ impl FromStr for RawFormat {
         let wrong = |what: String| format!("`{text}`: {what}; write for example 1280x1024:bayer_rg8@60");
         let (size, rest) = text.split_once(':').ok_or_else(|| wrong("the pixel format is missing".to_owned()))?;
         let (format, rate) = rest.split_once('@').ok_or_else(|| wrong("the frame rate is missing".to_owned()))?;
-        let side = |text: &str| text.parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
-        let (width, height) = size
-            .split_once('x')
-            .and_then(|(w, h)| Some((side(w)?, side(h)?)))
-            .ok_or_else(|| wrong(format!("{size} is not a size in pixels, 1x1 to 16384x16384")))?;
+        let side = |text: &str| text.parse::<u32>().ok().filter(|n| (1..=LARGEST_SIDE_PX).contains(n));
+        let (width, height) = size.split_once('x').and_then(|(w, h)| Some((side(w)?, side(h)?))).ok_or_else(|| {
+            wrong(format!("{size} is not a size in pixels, 1x1 to {LARGEST_SIDE_PX}x{LARGEST_SIDE_PX}"))
+        })?;
         let pixel = samples::by_name(format).map_err(wrong)?;
         let rate = rate.parse::<FrameRate>().map_err(|e| wrong(e.to_string()))?;
         Ok(Self { size_px: [width, height], pixel, rate })
