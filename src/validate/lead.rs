@@ -1,6 +1,7 @@
 //! A motion that comes before its commands.
 
-use super::run::{Run, WEAK_CORRELATION};
+use super::run::Run;
+use super::timing::WEAK_CORRELATION;
 
 /// σ of the phase beyond which it is not chance.
 const SIGNIFICANT_SD: f64 = 4.0;

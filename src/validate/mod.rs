@@ -36,15 +36,17 @@ mod start_time;
 mod step;
 #[cfg(test)]
 mod tests;
+mod timing;
 mod write;
 
 pub(crate) use error::ValidateError;
 pub(crate) use lag::unwrap;
 pub(crate) use options::{Average, Options};
 pub(crate) use path::DesiredPath;
-pub(crate) use run::{Observed, Run, Size};
+pub(crate) use run::{Run, Size};
 pub(crate) use spline::Interpolation;
 pub(crate) use step::Step;
+pub(crate) use timing::Observed;
 pub(crate) use write::Row;
 
 /// All runs along a path.

@@ -6,12 +6,13 @@ use super::error::ValidateError;
 use super::lag::{Lag, lag};
 use super::options::Options;
 use super::path::DesiredPath;
-use super::pauses::{Mean, Sample, Window, interval_s};
+use super::pauses::{Mean, Sample};
 use super::periods::Periods;
 use super::plane::Plane;
 use super::settling::Settling;
-use super::start_time::{self, StartFrom};
+use super::start_time::StartFrom;
 use super::step::Step;
+use super::timing::{Marked, Observed, Timing, WEAK_CORRELATION, all_periods_are_there, marked, timing};
 use crate::series::{Frame, Recording};
 use crate::source::times::seconds;
 use crate::vetoes::VETOED;
@@ -20,27 +21,12 @@ use std::path::PathBuf;
 
 /// An axis along which the desired path moves by less than this fraction of the largest has no gain.
 const STILL_AXIS: f64 = 0.02;
-/// Below this correlation the path explains less than half of the observed motion (its square): it is another motion. A
-/// catheter that follows a lemniscate far above its corner still reaches 0.87, most reach 0.99; a circle along a
-/// lemniscate 0.63.
-pub(super) const WEAK_CORRELATION: f64 = 0.7;
 /// Sizes of motion and path that differ by more than this factor are hardly in the same unit.
 const OTHER_UNIT: f64 = 20.0;
 /// More commands than this fraction without a point are noted.
 const MANY_LEFT_OUT: f64 = 0.25;
 /// Frames per period below which amplitudes suffer.
 const FEW_FRAMES: f64 = 8.0;
-
-/// An observed run to evaluate.
-#[derive(Debug)]
-pub(crate) struct Observed<'a> {
-    /// The run.
-    pub recording: &'a Recording,
-    /// How long each command is held, seconds.
-    pub pause_s: f64,
-    /// Camera time of the first command, if it is known, nanoseconds.
-    pub start_ns: Option<i64>,
-}
 
 /// The sizes whose ratio is the magnitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -282,139 +268,9 @@ fn lag_of(path: &DesiredPath, steps: &[Step], counted: &[Option<Mean>]) -> Optio
     Some(Lag { points: lag.points + later.iter().sum::<f64>() / later.len().max(1) as f64, ..lag })
 }
 
-/// The marker that follows the path, and where it was seen.
-struct Marked {
-    marker: usize,
-    name: String,
-    samples: Vec<Sample>,
-}
-
-fn marked(recording: &Recording, options: &Options) -> Result<Marked, ValidateError> {
-    let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
-    in_order(&recording.frames).map_err(wrong)?;
-    recording.in_base_frame()?;
-    let marker = marker(recording, options)?;
-    let name = recording.markers.get(marker).cloned().unwrap_or_default();
-    let samples: Vec<Sample> = recording
-        .frames
-        .iter()
-        .filter_map(|frame| Some((frame.stamp_ns, frame.places.get(marker)?.point?.coords)))
-        .collect();
-    if samples.is_empty() {
-        let problem = format!("none of its {} frames has a place of {name}", recording.frames.len());
-        return Err(ValidateError::Unusable { path: recording.path.clone(), problem });
-    }
-    Ok(Marked { marker, name, samples })
-}
-
-/// When commands were given, and the frames of that time.
-struct Timing<'a> {
-    window: Window,
-    start_from: StartFrom,
-    /// Correlation with the path, if it was searched for.
-    start_correlation: Option<f64>,
-    /// A note about the start.
-    note: Option<String>,
-    inside: Vec<&'a Frame>,
-    /// Usual time between these frames, seconds.
-    interval_s: f64,
-}
-
-fn timing<'a>(
-    path: &DesiredPath,
-    observed: &Observed<'a>,
-    samples: &[Sample],
-    options: &Options,
-) -> Result<Timing<'a>, ValidateError> {
-    let recording = observed.recording;
-    let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
-    let pause_ns = (observed.pause_s * 1e9).round();
-    if !(1.0..1e15).contains(&pause_ns) {
-        return Err(wrong(format!("a pause of {} s is not valid: it must be above 0", observed.pause_s)));
-    }
-    let pause_ns = pause_ns as i64;
-    let by_ticks = match observed.start_ns {
-        Some(_) => None,
-        None => start_time::from_ticks(recording, pause_ns, path.commands())?,
-    };
-    let note = by_ticks.as_ref().and_then(|(_, _, note)| note.clone());
-    let pause_ns = by_ticks.as_ref().map_or(pause_ns, |(_, pause_ns, _)| *pause_ns);
-    let ticked = by_ticks.map(|(ns, ..)| (ns, StartFrom::Ticks));
-    let logged = || start_time::from_currents(&recording.currents, pause_ns).map(|ns| (ns, StartFrom::Currents));
-    let mut start_correlation = None;
-    let after_search = start_time::commands_after_search(path, options.skip);
-    let searched = || {
-        let (ns, correlation) = start_time::by_search(path, samples, pause_ns, after_search)?;
-        start_correlation = Some(correlation);
-        Some((ns, StartFrom::Search))
-    };
-    let given = observed.start_ns.map(|ns| (ns, StartFrom::Given));
-    let (start_ns, start_from) = given.or(ticked).or_else(logged).or_else(searched).ok_or_else(|| {
-        let (needs, has) = (path.commands() as f64 * seconds(pause_ns), span_s(samples));
-        wrong(format!(
-            "the start of the commands cannot be found: they take {needs:.3} s, the record has {has:.3} s of motion; \
-             give --start, or check --pause and --periods"
-        ))
-    })?;
-    if let Some(correlation) = start_correlation.filter(|correlation| *correlation < WEAK_CORRELATION) {
-        return Err(wrong(format!(
-            "the start of the commands cannot be found: the motion correlates with the path by {correlation:.2} at \
-             best, of 1; {WEAK_CORRELATION} is needed. Does the marker move, along this path, with these axes, --pause \
-             and --periods? If so, give --start"
-        )));
-    }
-    let searched = start_from == StartFrom::Search;
-    let commands = if searched { after_search } else { path.commands() };
-    let window = Window { start_ns, pause_ns, commands };
-    let inside: Vec<&Frame> =
-        recording.frames.iter().filter(|f| f.stamp_ns >= window.start_ns && f.stamp_ns < window.end_ns()).collect();
-    if inside.is_empty() {
-        let (first, last) = (recording.frames.first(), recording.frames.last());
-        let at = |frame: Option<&Frame>| seconds(frame.map_or(0, |frame| frame.stamp_ns));
-        return Err(wrong(format!(
-            "no frame is from the time of the commands: these are from {:.3} s to {:.3} s, the frames from {:.3} s to \
-             {:.3} s of the camera's clock; check --start",
-            seconds(window.start_ns),
-            seconds(window.end_ns()),
-            at(first),
-            at(last)
-        )));
-    }
-    let stamps: Vec<i64> = inside.iter().map(|frame| frame.stamp_ns).collect();
-    let interval_s = interval_s(&stamps).ok_or_else(|| ValidateError::Unusable {
-        path: recording.path.clone(),
-        problem: "has a single frame from the time of the commands".to_owned(),
-    })?;
-    Ok(Timing { window, start_from, start_correlation, note, inside, interval_s })
-}
-
 fn weak_correlation(lag: Option<&Lag>) -> Option<String> {
     let weak = lag.filter(|lag| lag.correlation < WEAK_CORRELATION)?;
     Some(format!("the motion hardly correlates with the path ({:.2}): its phase means little", weak.correlation))
-}
-
-/// Rejects a record that ends before the middle of the last period: either there are fewer periods, and what comes
-/// after them is none, or it is not all of the run.
-fn all_periods_are_there(path: &DesiredPath, recording: &Recording, window: &Window) -> Result<(), ValidateError> {
-    let last_ns = recording.frames.last().map_or(window.start_ns, |frame| frame.stamp_ns);
-    let period_ns = window.at_ns(path.points.len()).saturating_sub(window.start_ns);
-    let there = last_ns.saturating_sub(window.start_ns) as f64 / period_ns as f64;
-    if there + 0.5 >= path.periods as f64 {
-        return Ok(());
-    }
-    // The last frame is before the end of its period.
-    let whole = (there + 0.1).floor();
-    Err(ValidateError::Run {
-        path: recording.path.clone(),
-        problem: format!(
-            "the record ends at {:.3} s of the camera's clock, {} periods of commands at {:.3} s: {whole} of them are \
-             in it; give --periods {}, or check --pause and --start",
-            seconds(last_ns),
-            path.periods,
-            seconds(window.end_ns()),
-            whole.max(1.0)
-        ),
-    })
 }
 
 fn many_left_out(left_out: usize, commands: usize) -> Option<String> {
@@ -443,41 +299,6 @@ fn other_unit(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> Option<Strin
 
 fn few_frames(per_period: f64) -> Option<String> {
     (per_period < FEW_FRAMES).then(|| format!("{per_period:.1} camera frames per period: too few for a good amplitude"))
-}
-
-/// Rejects frames whose times do not increase.
-fn in_order(frames: &[Frame]) -> Result<(), String> {
-    if frames.is_empty() {
-        return Err("has no frame".to_owned());
-    }
-    match frames.iter().zip(frames.iter().skip(1)).find(|(before, after)| after.stamp_ns <= before.stamp_ns) {
-        Some((before, after)) => Err(format!(
-            "frame {} ({} s) is not later than frame {} ({} s): the camera's clock restarted; use the part before or \
-             after",
-            after.seq,
-            seconds(after.stamp_ns),
-            before.seq,
-            seconds(before.stamp_ns)
-        )),
-        None => Ok(()),
-    }
-}
-
-/// The requested marker, else the tip, else the last.
-fn marker(recording: &Recording, options: &Options) -> Result<usize, ValidateError> {
-    match &options.marker {
-        Some(name) => Ok(recording.marker(name)?),
-        None => {
-            match recording.markers.iter().position(|name| name == "tip").or(recording.markers.len().checked_sub(1)) {
-                Some(index) => Ok(index),
-                None => Ok(recording.marker("tip")?),
-            }
-        }
-    }
-}
-
-fn span_s(samples: &[Sample]) -> f64 {
-    samples.first().zip(samples.last()).map_or(0.0, |(first, last)| seconds(last.0 - first.0))
 }
 
 fn step(path: &DesiredPath, pause_ns: i64, k: usize, mean: Option<&Mean>) -> Step {
