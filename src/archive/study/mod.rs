@@ -1,18 +1,21 @@
 //! All runs of an archive: finds them in their folders and makes tables.
 
+mod frames;
+mod runs;
+
 use super::tables::{Cells, Table, TableError};
-use super::{FileRecord, Measured, Outcome, RunSummary, SummaryError, is_as_recorded};
+use super::{FileRecord, Outcome, RunSummary, SummaryError, is_as_recorded};
 use crate::log::schema::{LOG_FILE, TABLE_FILE, table};
 use crate::plural::plural;
-use crate::vetoes::{VetoError, Vetoes};
+use crate::vetoes::VetoError;
+use frames::{Frames, add_all, open};
+use runs::own_columns;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// Greatest depth of folders searched; what lies deeper is reported.
 const DEPTH: usize = 16;
-/// Rows in memory at a time.
-const ROWS: usize = 1 << 16;
 /// The option, and the column, that tells the frame of reference of positions and directions.
 const FRAME: &str = "frame";
 
@@ -291,230 +294,4 @@ fn check(run: &Run) -> Result<Option<String>, StudyError> {
     }
     let lost = added.vetoes.without_frame(added.vetoed_ns.into_iter());
     Ok(lost.map(|said| format!("{}: {said}", run.folder.display())))
-}
-
-/// The table of a run, and its header, which has the run's columns.
-fn open(run: &Run) -> Result<(csv::Reader<std::fs::File>, Vec<String>), StudyError> {
-    let path = run.folder.join(TABLE_FILE);
-    let wrong = |reason: String| StudyError::Track { path: path.clone(), line: 1, reason };
-    let file = std::fs::File::open(&path).map_err(|source| StudyError::Io { path: path.clone(), source })?;
-    let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(file);
-    let header: Vec<String> =
-        reader.headers().map_err(|error| wrong(error.to_string()))?.iter().map(str::to_owned).collect();
-    for (at, name) in run.columns().iter().enumerate() {
-        match header.get(at) {
-            Some(found) if found == name => {}
-            Some(found) => return Err(wrong(format!("column {} is `{found}`, it should be `{name}`", at + 1))),
-            None => return Err(wrong(format!("has no column {}, which should be `{name}`", at + 1))),
-        }
-    }
-    Ok((reader, header))
-}
-
-/// The rows of a run that were added.
-struct Added {
-    rows: u64,
-    vetoes: Vetoes,
-    /// Stamps of the vetoed frames, nanoseconds.
-    vetoed_ns: Vec<i64>,
-}
-
-/// Adds the rows of a run to `frames`, whose columns are `names`, and calls `full` when there are many. The frames'
-/// numbers rise, and there are as many as the summary counts.
-fn add_all<'a>(
-    run: &'a Run,
-    names: &[String],
-    frames: &mut Frames<'a>,
-    mut full: impl FnMut(&mut Frames<'a>) -> Result<(), StudyError>,
-) -> Result<Added, StudyError> {
-    let (mut reader, header) = open(run)?;
-    let places: Vec<Option<usize>> = names.iter().map(|name| header.iter().position(|other| other == name)).collect();
-    let vetoes = Vetoes::read(&run.folder)?;
-    let wrong = |line: u64, reason: String| StudyError::Track { path: run.folder.join(TABLE_FILE), line, reason };
-    let mut row = csv::StringRecord::new();
-    let (mut count, mut last_seq, mut vetoed_ns) = (0, None, Vec::new());
-    loop {
-        // The reader's own count lags behind by one at CRLF.
-        let line = count + 2;
-        if !reader.read_record(&mut row).map_err(|error| wrong(line, error.to_string()))? {
-            return match run.wrong_count(count) {
-                Some(reason) => Err(wrong(count + 1, reason)),
-                None => Ok(Added { rows: count, vetoes, vetoed_ns }),
-            };
-        }
-        if row.len() != header.len() {
-            return Err(wrong(line, format!("has {} of the header's {} cells", row.len(), header.len())));
-        }
-        let (seq, stamp_ns) = frames.add(run, &row, &places, &vetoes).map_err(|reason| wrong(line, reason))?;
-        vetoed_ns.extend(vetoes.of(stamp_ns).map(|_| stamp_ns));
-        if let Some(last) = last_seq.replace(seq).filter(|last| *last >= seq) {
-            return Err(wrong(line, format!("frame {seq} comes after frame {last}; their numbers should rise")));
-        }
-        count += 1;
-        if frames.rows >= ROWS {
-            full(frames)?;
-        }
-    }
-}
-
-/// Rows of the table of frames not written yet.
-struct Frames<'a> {
-    columns: Vec<(String, Cells)>,
-    /// Runs of the rows, with their numbers of rows.
-    runs: Vec<(&'a Run, usize)>,
-    rows: usize,
-    /// Why each is vetoed, if it is.
-    vetoes: Vec<Option<String>>,
-}
-
-/// The kind of a column of `track.csv`, from its name.
-fn kind(name: &str) -> Cells {
-    match name {
-        "seq" | "stamp_ns" | "gap" => Cells::Whole(Vec::new()),
-        _ if name.ends_with("_status") => Cells::Text(Vec::new()),
-        _ => Cells::Real(Vec::new()),
-    }
-}
-
-impl<'a> Frames<'a> {
-    fn new(names: &[String]) -> Self {
-        let columns = names.iter().map(|name| (name.clone(), kind(name))).collect();
-        Self { columns, runs: Vec::new(), rows: 0, vetoes: Vec::new() }
-    }
-
-    /// Adds a row of a run's table; returns number and stamp of the frame.
-    fn add(
-        &mut self,
-        run: &'a Run,
-        row: &csv::StringRecord,
-        places: &[Option<usize>],
-        vetoes: &Vetoes,
-    ) -> Result<(i64, i64), String> {
-        let number = |name: &str| {
-            let at = self.columns.iter().position(|(other, _)| other == name);
-            let cell = at.and_then(|at| row.get(places.get(at).copied()??)).unwrap_or_default();
-            cell.parse::<i64>().map_err(|_| format!("{name} is `{cell}`, it should be a whole number"))
-        };
-        let (seq, stamp_ns, _) = (number(table::SEQ)?, number(table::STAMP_NS)?, number(table::GAP)?);
-        self.vetoes.push(vetoes.of(stamp_ns).map(str::to_owned));
-        for ((name, cells), place) in self.columns.iter_mut().zip(places) {
-            let cell = place.and_then(|place| row.get(place)).filter(|cell| !cell.is_empty());
-            let wrong = || format!("{name} is {}, which is no number", cell.unwrap_or_default());
-            match cells {
-                Cells::Text(cells) => cells.push(cell.map(str::to_owned)),
-                Cells::Whole(cells) => cells.push(cell.map(str::parse).transpose().map_err(|_| wrong())?),
-                Cells::Real(cells) => {
-                    let number: Option<f64> = cell.map(str::parse).transpose().map_err(|_| wrong())?;
-                    // The words for infinity are numbers to the parser; no measurement is.
-                    cells.push(number.map(|n| if n.is_finite() { Ok(n) } else { Err(wrong()) }).transpose()?);
-                }
-                Cells::Flag(cells) => cells.push(None),
-            }
-        }
-        match self.runs.last_mut() {
-            Some((last, rows)) if last.folder == run.folder => *rows += 1,
-            _ => self.runs.push((run, 1)),
-        }
-        self.rows += 1;
-        Ok((seq, stamp_ns))
-    }
-
-    /// The rows, with the names and frames of reference of their runs, vetoes, and the manifests' columns.
-    fn take(&mut self, study: &Study) -> Vec<(String, Cells)> {
-        let names = self.columns.iter().map(|(name, _)| (name.clone(), kind(name))).collect();
-        let own = std::mem::replace(&mut self.columns, names);
-        let runs = std::mem::take(&mut self.runs);
-        self.rows = 0;
-        let text = |get: fn(&Run) -> Option<String>| {
-            Cells::Text(runs.iter().flat_map(|(run, times)| std::iter::repeat_n(get(run), *times)).collect())
-        };
-        let mut columns =
-            vec![("run".to_owned(), text(|run| Some(run.name.clone()))), (FRAME.to_owned(), text(Run::frame))];
-        columns.extend(own);
-        columns.push(("veto".to_owned(), Cells::Text(std::mem::take(&mut self.vetoes))));
-        let manifest_cells = study.manifest_cells(&columns, &runs);
-        columns.extend(manifest_cells);
-        columns
-    }
-}
-
-/// The columns of the table of runs that are not a manifest's. Date and duration of runs are not included: the same
-/// archive gives the same table.
-fn own_columns(runs: &[Run]) -> Vec<(String, Cells)> {
-    let text = |name: &str, get: &dyn Fn(&Run) -> Option<String>| {
-        (name.to_owned(), Cells::Text(runs.iter().map(get).collect()))
-    };
-    let whole = |name: &str, get: &dyn Fn(&Measured) -> Option<u64>| {
-        let cell = |run: &Run| get(run.summary.measured.as_ref()?).and_then(|n| i64::try_from(n).ok());
-        (name.to_owned(), Cells::Whole(runs.iter().map(cell).collect()))
-    };
-    let real = |name: &str, get: &dyn Fn(&Measured) -> Option<f64>| {
-        let cell = |run: &Run| get(run.summary.measured.as_ref()?).filter(|value| value.is_finite());
-        (name.to_owned(), Cells::Real(runs.iter().map(cell).collect()))
-    };
-    let stamp = |name: &str, get: &dyn Fn(&Measured) -> i64| {
-        let cell = |run: &Run| run.summary.measured.as_ref().map(get);
-        (name.to_owned(), Cells::Whole(runs.iter().map(cell).collect()))
-    };
-    let failed = |run: &Run| run.summary.failure.clone();
-    let retryable = Cells::Flag(runs.iter().map(|run| failed(run).map(|failure| failure.retryable)).collect());
-    let options = |run: &Run| {
-        let words = run.summary.options.iter().map(|(name, value)| format!("{name}={value}"));
-        Some(words.collect::<Vec<_>>().join(" "))
-    };
-    let warnings = |run: &Run| i64::try_from(run.summary.warnings.len() as u64 + run.summary.more_warnings).ok();
-    let mut columns = vec![
-        text("run", &|run| Some(run.name.clone())),
-        text("outcome", &|run| Some(run.summary.outcome.word().to_owned())),
-        text("failure", &|run| failed(run).map(|failure| failure.message)),
-        ("retryable".to_owned(), retryable),
-        text("ends_early", &|run| run.summary.ends_early.clone()),
-        text("recording", &|run| Some(run.summary.recording.clone())),
-        text("rig", &|run| Some(run.summary.rig.clone())),
-        text(FRAME, &Run::frame),
-        text("options", &options),
-        text("recording_sha256", &|run| run.summary.sha256.recording.clone()),
-        text("rig_sha256", &|run| run.summary.sha256.rig.clone()),
-        text("program_sha256", &|run| run.summary.sha256.program.clone()),
-        text("version", &|run| Some(run.summary.version.clone())),
-        whole("frames", &|m| Some(m.frames)),
-        whole("complete", &|m| Some(m.complete)),
-        whole("lost", &|m| Some(m.lost)),
-        whole("gaps", &|m| Some(m.gaps)),
-        stamp("first_ns", &|m| m.first_ns),
-        stamp("last_ns", &|m| m.last_ns),
-        text("clock", &|run| run.summary.measured.as_ref().map(|m| m.clock.clone())),
-        real("duration_s", &|m| Some(m.duration_s)),
-        whole("theta_answered", &|m| Some(m.theta.answered)),
-        real("theta_sd_deg", &|m| m.theta.sd_deg),
-        real("theta_min_deg", &|m| m.theta.min_deg),
-        real("theta_max_deg", &|m| m.theta.max_deg),
-        whole("tangent_answered", &|m| Some(m.tangent.answered)),
-        real("tangent_sd_deg", &|m| m.tangent.sd_deg),
-        real("residual_rms_px", &Measured::largest_rms_px),
-        real("residual_mean_px", &Measured::largest_mean_px),
-        whole("drift_alarms", &|m| Some(m.drift_alarms.len() as u64)),
-        ("warnings".to_owned(), Cells::Whole(runs.iter().map(warnings).collect())),
-        whole("damaged_packets", &|m| Some(m.faults.damaged_packets)),
-        whole("damaged_pictures", &|m| Some(m.faults.damaged_pictures)),
-    ];
-    let measured = || runs.iter().filter_map(|run| run.summary.measured.as_ref());
-    let markers: BTreeSet<&str> =
-        measured().flat_map(|m| m.markers.iter().map(|marker| marker.name.as_str())).collect();
-    for name in markers {
-        let find = |m: &Measured| m.markers.iter().find(|marker| marker.name == name).cloned();
-        columns.push(whole(&format!("{name}_answered"), &|m| Some(find(m)?.answered)));
-        columns.push(real(&format!("{name}_sd_mm"), &|m| find(m)?.sd_mm));
-    }
-    let misses: BTreeSet<(&str, &str)> =
-        measured().flat_map(|m| m.misses.iter().map(|miss| (miss.what.as_str(), miss.reason.as_str()))).collect();
-    for (what, reason) in misses {
-        let count = |m: &Measured| {
-            Some(
-                m.misses.iter().filter(|miss| miss.what == what && miss.reason == reason).map(|miss| miss.frames).sum(),
-            )
-        };
-        columns.push(whole(&format!("missed_{what}_{reason}"), &count));
-    }
-    columns
 }
