@@ -7,13 +7,13 @@ const FRAME_BYTES: u64 = 400_000_000;
 
 /// Frames spread evenly over a recording.
 pub(crate) struct Spread {
-    /// In order of time.
+    /// The frames, in order of time.
     pub frames: Vec<Frame>,
     /// Further frames, each directly after one of those, in order of time.
     pub followers: Vec<Frame>,
     /// Index of the requested frame; `None` when the recording ends before.
     pub wanted: Option<usize>,
-    /// From the first frame to the last, nanoseconds.
+    /// Time from the first frame of the recording to the last, nanoseconds.
     pub length_ns: i64,
 }
 

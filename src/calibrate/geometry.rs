@@ -250,7 +250,7 @@ struct ViewProjector {
 }
 
 impl Projector {
-    /// For a geometry and the parameters of interest.
+    /// The projector of a geometry, with derivatives by the parameters of interest.
     pub fn new(geometry: &Geometry, parameters: &[Parameter]) -> Self {
         let views = (0..geometry.views.len())
             .map(|view| {

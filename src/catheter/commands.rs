@@ -44,7 +44,7 @@ impl Commands {
         (self.time_s.first().copied().unwrap_or(0.0), self.time_s.last().copied().unwrap_or(0.0))
     }
 
-    /// The same, all later by this.
+    /// The same commands, all later by this.
     pub fn later(&self, by_s: f64) -> Self {
         Self { time_s: self.time_s.iter().map(|t| t + by_s).collect(), ..self.clone() }
     }

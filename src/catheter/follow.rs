@@ -48,7 +48,7 @@ pub struct Followed {
     pub currents_a: Vector3<f64>,
     /// The shape for these currents.
     pub shape: Shape,
-    /// From the target to the tip, metres; along z it is 0 where z is free.
+    /// Distance of the tip from the target, metres; what lies along z does not count where z is free.
     pub off_m: f64,
     /// Whether a current is at its limit.
     pub at_limit: bool,

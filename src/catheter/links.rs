@@ -66,9 +66,9 @@ pub(super) struct At {
 /// Kinetic and potential energy, J.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Energy {
-    /// Of tube, wire and fluid.
+    /// Kinetic energy of tube, wire and fluid.
     pub kinetic_j: f64,
-    /// Of bending and twist, weight, coils in the field, and a force at the tip.
+    /// Potential energy of bending and twist, weight, coils in the field, and a force at the tip.
     pub potential_j: f64,
 }
 

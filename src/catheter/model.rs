@@ -9,11 +9,11 @@ use std::f64::consts::PI;
 pub struct Catheter {
     /// The tube.
     pub tube: Tube,
-    /// From the clamp to the coil set, metres.
+    /// Length of the tube from the clamp to the coil set, metres.
     pub flexible_m: f64,
     /// Length of the coil set, where the tube does not bend, metres.
     pub coil_m: f64,
-    /// Behind the coil set, metres.
+    /// Length of the tube behind the coil set, metres.
     pub tail_m: f64,
     /// The coils.
     pub coils: CoilSet,
@@ -29,9 +29,9 @@ pub struct Catheter {
 /// the tip is the middle of the tip's band. (That of the coil is in the middle of the coil set.)
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bands {
-    /// From the clamp to the middle of the base band, along the tube, metres.
+    /// Distance of the middle of the base band from the clamp, along the tube, metres.
     pub base_m: f64,
-    /// To the middle of the tip's band, metres.
+    /// The same of the middle of the tip's band, metres.
     pub tip_m: f64,
 }
 
@@ -162,17 +162,17 @@ impl Catheter {
         }
     }
 
-    /// From the clamp to the end of the tube, metres.
+    /// Length of the tube from the clamp to its end, metres.
     pub fn length_m(&self) -> f64 {
         self.flexible_m + self.coil_m + self.tail_m
     }
 
-    /// From the clamp to what is called the tip, metres: the middle of its band, or without bands the end of the tube.
+    /// Distance of what is called the tip from the clamp, metres: the middle of its band, or without bands the tube's end.
     pub fn tip_m(&self) -> f64 {
         self.bands.map_or_else(|| self.length_m(), |bands| bands.tip_m)
     }
 
-    /// From the clamp to the origin of positions, metres: the middle of the base band, or without bands the clamp.
+    /// Distance of the origin of positions from the clamp, metres: the middle of the base band, or without bands 0.
     pub fn origin_m(&self) -> f64 {
         self.bands.map_or(0.0, |bands| bands.base_m)
     }

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 /// What was seen at one time; axes of the base frame, origin at the clamp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
-    /// Seconds, on the clock of the commands.
+    /// When, seconds on the clock of the commands.
     pub time_s: f64,
     /// Middle of the coil set, metres.
     pub coil: Option<Point3<f64>>,
@@ -26,7 +26,7 @@ pub struct Sighting {
 pub struct Noise {
     /// Standard deviation of a coordinate, metres.
     pub point_m: f64,
-    /// Of a direction, about each axis across it, radians.
+    /// Standard deviation of a direction about each axis across it, radians.
     pub angle_rad: f64,
     /// Part of frames in which nothing is seen.
     pub missing: f64,

@@ -13,9 +13,9 @@ const STEP: f64 = 1e-4;
 /// Derivatives by the currents of coils x, y, z: columns.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sensitivity {
-    /// Of the tip, metres per ampere.
+    /// Derivatives of the tip, metres per ampere.
     pub tip_m_a: Matrix3<f64>,
-    /// Of the tangent, 1 per ampere.
+    /// Derivatives of the tangent, 1 per ampere.
     pub tangent_a: Matrix3<f64>,
 }
 

@@ -94,7 +94,7 @@ impl BandwidthOf {
 /// A bandwidth with its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BandwidthEstimate {
-    /// Of the model.
+    /// The bandwidth of the model.
     pub bandwidth: Bandwidth,
     /// Hz: of averaged periods by their covariance, otherwise by the bootstrap; `None` without it, when it gave too
     /// few, or when the interval is open.

@@ -44,9 +44,9 @@ impl Line {
 /// What was removed from one record's input and output.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Trend {
-    /// From the input.
+    /// What was removed from the input.
     pub input: Line,
-    /// From the output.
+    /// What was removed from the output.
     pub output: Line,
 }
 

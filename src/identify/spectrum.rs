@@ -41,7 +41,7 @@ pub struct Point {
 /// Spectra of a record.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spectrum {
-    /// From the first frequency above zero to half the sampling rate.
+    /// The rows, from the first frequency above zero to half the sampling rate.
     pub points: Vec<Point>,
     /// Width of one row, Hz.
     pub resolution_hz: f64,

@@ -19,12 +19,12 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// From F, where the covariance is F Fᵀ.
+    /// The covariance F Fᵀ.
     pub fn from_factor(factor: DMatrix<f64>) -> Self {
         Self { factor }
     }
 
-    /// As a matrix.
+    /// The covariance as a matrix.
     pub fn matrix(&self) -> DMatrix<f64> {
         &self.factor * self.factor.transpose()
     }

@@ -97,13 +97,13 @@ pub struct Until {
 /// What a live run came to.
 #[derive(Debug)]
 pub struct LiveSummary {
-    /// As of a recording.
+    /// The same summary as of a recording.
     pub run: Summary,
-    /// From arrival to θ sent, all tracked frames.
+    /// Time from the arrival of a frame to its θ being sent, over all tracked frames.
     pub latency: Latency,
     /// Frames that were not logged because the disk was too slow for minutes.
     pub unlogged_frames: u64,
-    /// The same of samples of currents.
+    /// Samples of currents that were not logged for the same reason.
     pub unlogged_currents: u64,
     /// Rows that subscribers were not given because they would have waited.
     pub unpublished: u64,

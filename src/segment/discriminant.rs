@@ -25,9 +25,9 @@ pub(super) struct Plane {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Screen {
     pub weights: [i16; 3],
-    /// For the rounded means of all channels.
+    /// The offset for the rounded means of all channels.
     pub offset: i16,
-    /// For exact means of channels 1 and 2, and any value of the first channel.
+    /// The offset for exact means of channels 1 and 2, and any value of the first channel.
     pub offset_without_first: i16,
 }
 

@@ -19,11 +19,11 @@ pub struct Mount {
     pub catheter: Catheter,
     /// Middle of each band, in the rig's order.
     pub centres_m: Vec<f64>,
-    /// From where to where each goes.
+    /// Where each band begins and ends.
     pub bands_m: Vec<(f64, f64)>,
     /// Length of the tube.
     pub length_m: f64,
-    /// From the clamp's frame (z along the straight tube, x along B0) to the camera's.
+    /// Transform from the clamp's frame (z along the straight tube, x along B0) to the camera's.
     pub camera_from_clamp: Isometry3<f64>,
 }
 

@@ -22,7 +22,7 @@ impl Default for Sensor {
 }
 
 impl Sensor {
-    /// Without noise.
+    /// A sensor without noise.
     pub const IDEAL: Self = Self { full_well_e: None, read_e: 0.0, mosaic: false };
 }
 

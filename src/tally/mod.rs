@@ -194,7 +194,7 @@ impl TickTally {
 }
 
 impl Tally {
-    /// For runs with this rig.
+    /// The tally of a run with this rig, before its first frame.
     pub fn new(rig: &Rig) -> Self {
         let views = vec![ViewTally::default(); rig.views.len()];
         let marker = |name: &str| MarkerTally { name: name.to_owned(), views: views.clone(), ..MarkerTally::default() };

@@ -71,7 +71,7 @@ pub struct FitOptions {
     pub settle_s: f64,
     /// Whether only shapes at rest are used.
     pub only_still: bool,
-    /// Of the motion.
+    /// How exactly the motion is computed.
     pub accuracy: Accuracy,
     /// What the tracker says of itself: noise where no pause shows more.
     pub stated_noise: Option<Noise>,
@@ -97,7 +97,7 @@ pub struct Check {
     pub moments: Vec<Moment>,
     /// Root mean square distance of the tip, metres.
     pub tip_rms_m: f64,
-    /// Of the coil set, metres.
+    /// The same of the middle of the coil set, metres.
     pub coil_rms_m: f64,
     /// Root mean square difference of θ, radians.
     pub theta_rms_rad: f64,

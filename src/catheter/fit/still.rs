@@ -21,7 +21,7 @@ const UNSETTLED: (f64, f64) = (5.0, 0.5);
 pub struct Pause {
     /// Which run it is from.
     pub run: usize,
-    /// From when on frames count, seconds of the run, and how many of them.
+    /// From when on frames count, seconds of the run.
     pub from_s: f64,
     /// Frames that count.
     pub frames: usize,

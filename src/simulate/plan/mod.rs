@@ -58,11 +58,11 @@ pub enum PlanError {
 /// 1σ of one frame by the noise of its picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Noise {
-    /// Of a coordinate of each band, metres, in the rig's order.
+    /// σ of a coordinate of each band, metres, in the rig's order.
     pub place_m: Vec<f64>,
-    /// Of the coil's direction, about an axis across it, radians.
+    /// σ of the coil's direction about an axis across it, radians.
     pub tangent_rad: f64,
-    /// Of θ, radians.
+    /// σ of θ, radians.
     pub theta_rad: f64,
 }
 

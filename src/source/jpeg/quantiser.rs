@@ -5,7 +5,7 @@ use super::samples::ZIGZAG;
 /// Quantiser steps of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Steps {
-    /// Of luma and both chroma channels, stored units: RMS over the coefficients that show where an edge is.
+    /// Steps of luma and both chroma channels, stored units: RMS over the coefficients that show where an edge is.
     pub channels: [f64; 3],
     /// Pixels per sample of chroma.
     pub chroma_px: f64,

@@ -140,7 +140,7 @@ struct Finding {
 }
 
 impl Drift {
-    /// For runs with this rig.
+    /// The watch over a run with this rig, before its first frame.
     pub fn new(rig: &Rig) -> Self {
         Self { views: Views::new(rig), base: BaseBand::new(rig), ..Self::default() }
     }
