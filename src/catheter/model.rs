@@ -167,7 +167,8 @@ impl Catheter {
         self.flexible_m + self.coil_m + self.tail_m
     }
 
-    /// Distance of what is called the tip from the clamp, metres: the middle of its band, or without bands the tube's end.
+    /// Distance of what is called the tip from the clamp, metres: the middle of its band, or without bands the tube's
+    /// end.
     pub fn tip_m(&self) -> f64 {
         self.bands.map_or_else(|| self.length_m(), |bands| bands.tip_m)
     }

@@ -125,8 +125,8 @@ impl VideoFile {
         Ok(source)
     }
 
-    /// Opens the live stream at `url`: frames leave the decoder at once, and may change their size. It ends when `stop` is
-    /// set.
+    /// Opens the live stream at `url`: frames leave the decoder at once, and may change their size. It ends when `stop`
+    /// is set.
     ///
     /// # Errors
     /// When nobody answers, or the data is not a video that can be decoded.

@@ -49,7 +49,10 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
         run.rows.iter().map(|row| row.theta.as_ref().map_or(Value::Null, |t| short(pick(t).to_degrees()))).collect()
     };
     let since_first_s = |ns: i64| seconds(ns - first_ns);
-    let alarm = |(ns, over_ns, what): &(i64, Option<i64>, String)| json!({ "t_s": since_first_s(*ns), "over_s": over_ns.map(since_first_s), "what": what });
+    let alarm = |(ns, over_ns, what): &(i64, Option<i64>, String)| {
+        let over_s = over_ns.map(since_first_s);
+        json!({ "t_s": since_first_s(*ns), "over_s": over_s, "what": what })
+    };
     let (vetoes, vetoes_of_none) = veto::standing(&run)?;
     Ok(Reply::Json(json!({
         "run": asked.run,

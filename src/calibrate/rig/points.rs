@@ -22,8 +22,8 @@ use std::path::{Path, PathBuf};
 /// Fewest points of a target in a view: a pose has six unknowns, a point gives two equations, and one more point is
 /// needed as a check.
 const MIN_POINTS: usize = 4;
-/// A target is left-handed if the squares of its residuals are this many times those of its reflection, over at least as
-/// many coordinates. From afar the two differ by little more than the noise.
+/// A target is left-handed if the squares of its residuals are this many times those of its reflection, over at least
+/// as many coordinates. From afar the two differ by little more than the noise.
 const LEFT_HANDED: (f64, usize) = (1.5, 60);
 /// Steps from OpenCV's pose to the best one.
 const REFINEMENTS: usize = 8;
