@@ -85,7 +85,7 @@ pub(super) struct Frames<'a> {
 /// The kind of a column of `track.csv`, from its name.
 fn kind(name: &str) -> Cells {
     match name {
-        "seq" | "stamp_ns" | "gap" => Cells::Whole(Vec::new()),
+        table::SEQ | table::STAMP_NS | table::GAP => Cells::Whole(Vec::new()),
         _ if name.ends_with("_status") => Cells::Text(Vec::new()),
         _ => Cells::Real(Vec::new()),
     }
