@@ -28,6 +28,7 @@ pub use error::RigError;
 pub(crate) use error::nearest;
 pub(crate) use validate::longest_stiff_m;
 pub(crate) use walk::walk;
+pub(crate) use warnings::of_camera;
 
 use crate::optics::{Lens, OpticalPath, Surface};
 use nalgebra::{Isometry3, Point2, Vector3};

@@ -3,7 +3,7 @@
 use super::base_doubts::base_doubts;
 use super::view_check::{ClosestApproach, ViewCheck};
 use super::walk::grid;
-use super::{Base, Draft, Marker, View, polygon};
+use super::{Base, Camera, Draft, Marker, View, polygon};
 use crate::optics::Surface;
 use crate::plural::plural;
 use nalgebra::{Point2, Point3};
@@ -15,6 +15,10 @@ const EDGE_ON_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
 const NARROW_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 /// Narrower images of the tube are tracked worse than σ says (docs/formats.md).
 const LEAST_TUBE_PX: f64 = 4.0;
+/// Focal lengths of cameras, over the longer side of their pictures: fields of view from 1 to 136 degrees.
+const FOCAL: std::ops::RangeInclusive<f64> = 0.2..=50.0;
+/// Ratio of both, of pixels that are square or nearly so.
+const SQUARE: std::ops::RangeInclusive<f64> = 0.92..=1.087;
 
 /// Something a user should know.
 #[derive(Debug, Clone, PartialEq)]
@@ -88,6 +92,23 @@ pub enum Warning {
     UnusedSurface {
         /// The surface.
         surface: String,
+    },
+    /// A focal length that no camera has for pictures of this size.
+    Focal {
+        /// Both, pixels.
+        focal_px: [f64; 2],
+        /// The picture's longer side, pixels.
+        side_px: u32,
+    },
+    /// Pixels that are not square.
+    Oblong {
+        /// Both focal lengths, pixels.
+        focal_px: [f64; 2],
+    },
+    /// A corner of the picture without a direction, of a camera whose views are not known yet.
+    Folds {
+        /// The corner, pixels.
+        corner_px: [f64; 2],
     },
     /// The principal point lies far from the picture's centre.
     PrincipalPoint {
@@ -174,6 +195,21 @@ impl fmt::Display for Warning {
                 write!(f, "the regions of {a} and {b} overlap by about {area_px2:.0} px²: a band there is ambiguous")
             }
             Self::UnusedSurface { surface } => write!(f, "surface {surface} is on no view's path"),
+            Self::Focal { focal_px: [x, y], side_px } => write!(
+                f,
+                "focal lengths of {x} and {y} px for pictures of {side_px} px are those of no usual camera: are they in \
+                 pixels, and for pictures of this size?"
+            ),
+            Self::Oblong { focal_px: [x, y] } => write!(
+                f,
+                "the focal lengths, {x:.1} and {y:.1} px, differ as if pixels were not square: were the pictures \
+                 stretched, or the numbers exchanged?"
+            ),
+            Self::Folds { corner_px: [x, y] } => write!(
+                f,
+                "the distortion folds over inside the picture: corner ({x:.0}, {y:.0}) has no direction; are these \
+                 the coefficients of this model (k1, k2, p1, p2, k3, not a fisheye's)?"
+            ),
             Self::PrincipalPoint { distance_px } => {
                 write!(
                     f,
@@ -246,11 +282,7 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
             .filter(|name| !rig.views.iter().any(|v| v.path.contains(name)))
             .map(|name| Warning::UnusedSurface { surface: name.clone() }),
     );
-    let middle = Point2::from(rig.camera.size_px.map(|size| f64::from(size - 1) / 2.0));
-    let distance_px = (rig.camera.lens.principal_point_px - middle).norm();
-    if distance_px > 0.1 * f64::from(rig.camera.size_px[0]) {
-        found.push(Warning::PrincipalPoint { distance_px });
-    }
+    found.extend(of_camera(&rig.camera, views.is_empty()));
     let named = |lacks: fn(&Marker) -> bool| -> Option<Vec<String>> {
         let markers: Vec<_> = rig.markers.iter().filter(|m| lacks(m)).map(|m| m.name.clone()).collect();
         (!markers.is_empty()).then_some(markers)
@@ -270,6 +302,28 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
         (begun && rig.camera.blur_px.is_none() && rig.views.iter().any(|view| view.blur_px.is_none()))
             .then_some(Warning::NoBlur),
     );
+    found
+}
+
+/// What a camera's numbers make doubtful; `whole` if all of its picture is to be used, as far as is known.
+pub(crate) fn of_camera(camera: &Camera, whole: bool) -> Vec<Warning> {
+    let (lens, size_px) = (&camera.lens, camera.size_px);
+    let mut found = Vec::new();
+    let (focal_px, side_px) = (<[f64; 2]>::from(lens.focal_px), size_px[0].max(size_px[1]));
+    if focal_px.iter().any(|f| !FOCAL.contains(&(f / f64::from(side_px)))) {
+        found.push(Warning::Focal { focal_px, side_px });
+    } else if !SQUARE.contains(&(focal_px[0] / focal_px[1])) {
+        found.push(Warning::Oblong { focal_px });
+    }
+    let middle = Point2::from(size_px.map(|size| f64::from(size - 1) / 2.0));
+    let distance_px = (lens.principal_point_px - middle).norm();
+    if distance_px > 0.1 * f64::from(size_px[0]) {
+        found.push(Warning::PrincipalPoint { distance_px });
+    }
+    let [right, bottom] = size_px.map(|size| f64::from(size - 1));
+    let corners = [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]];
+    let folds = corners.into_iter().find(|corner| lens.undistort(&Point2::from(*corner)).is_none());
+    found.extend(folds.filter(|_| whole).map(|corner_px| Warning::Folds { corner_px }));
     found
 }
 

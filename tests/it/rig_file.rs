@@ -630,6 +630,38 @@ fn deviations_of_an_imported_lens_are_kept() {
     assert!((draft.noted_sd("k3").unwrap() - 0.05).abs() < 1e-9);
 }
 
+/// A camera of another tool whose numbers are those of no camera, or of other pictures.
+#[test]
+fn an_imported_lens_that_is_doubtful_is_warned_of_and_one_of_other_pictures_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, out) = (folder.path().join("camera.yaml"), folder.path().join("rig.toml"));
+    let ros = include_str!("../data/cameras/ros.yaml");
+    let import = |text: &str| {
+        std::fs::write(&file, text).unwrap();
+        let done = catoptra(&["rig", "import", file.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+        (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
+    };
+    let doubtful = |from: &str, to: &str, word: &str| {
+        let (code, said) = import(&ros.replace(from, to));
+        assert!(code == Some(0) && said.contains("warning") && said.contains(word), "{to}: {said}");
+    };
+    let (code, said) = import(ros);
+    assert!(code == Some(0) && !said.contains("warning"), "{said}");
+    doubtful("2712.4", "8.0", "are they in pixels");
+    doubtful("2712.4", "1200.0", "stretched");
+    doubtful("643.7", "1930.0", "principal point");
+    doubtful("-0.11", "-9.0", "corner (0, 0) has no direction");
+    for (more, word) in [
+        ("binning_x: 2\n", "binning_x"),
+        ("roi: {x_offset: 0, y_offset: 8, height: 512, width: 1280, do_rectify: false}\n", "roi.height"),
+    ] {
+        let (code, said) = import(&format!("{ros}{more}"));
+        assert!(code == Some(2) && said.contains(word), "{more}: {said}");
+    }
+    let whole = "binning_x: 0\nbinning_y: 1\nroi: {x_offset: 0, y_offset: 0, height: 0, width: 0}\n";
+    assert_eq!(import(&format!("{ros}{whole}")).0, Some(0));
+}
+
 /// A model of several planes for each view is read as it was written; one for some views only is refused.
 #[test]
 fn colours_of_each_view_come_back_and_one_that_is_missing_is_named() {

@@ -4,8 +4,8 @@ use super::super::calibrate::{can_be_written, left_out, save};
 use super::Failure;
 use crate::archive::hash;
 use crate::calibrate::geometry::Parameter;
-use crate::rig::Draft;
 use crate::rig::formats::Format;
+use crate::rig::{Draft, of_camera};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -100,6 +100,9 @@ pub(super) fn run(
         provenance.insert("lens_covariance".into(), (0..n).map(|i| row(i).into()).collect::<Vec<toml::Value>>().into());
     }
     draft.provenance.insert("camera".into(), provenance.into());
+    for warning in of_camera(&draft.camera, draft.views.is_empty()) {
+        tracing::warn!("{}: {warning}", args.file.display());
+    }
     let written = save(&draft, &args.out)?;
     let known = match args.sd {
         Some(_) => "its σ count as independent of each other: `calibrate rig` knows the lens as well as they say",
