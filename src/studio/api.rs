@@ -80,7 +80,8 @@ fn reel(desk: &Desk, asked: &ReelAsked) -> Result<Reply, Refusal> {
     let reel = desk.reel(&asked.recording)?;
     let indexed = reel.indexed();
     let first_ns = indexed.stamps_ns.first().copied().unwrap_or_default();
-    let us: Vec<i64> = indexed.stamps_ns.iter().skip(asked.known).map(|ns| (ns - first_ns) / 1000).collect();
+    let us: Vec<i64> =
+        indexed.stamps_ns.iter().skip(asked.known).map(|ns| ns.saturating_sub(first_ns) / 1000).collect();
     Ok(Reply::Json(json!({
         "size": reel.size_px(),
         "first_s": seconds(first_ns),

@@ -8,6 +8,7 @@
 
 use super::spline::{Curve, Interpolation};
 use crate::median::upper_median;
+use crate::source::times::seconds;
 use nalgebra::Vector3;
 
 /// Frames further apart than this many usual intervals have a gap between them.
@@ -90,7 +91,7 @@ impl Window {
 /// The usual time between frames, seconds: the median. `None` for fewer than two.
 pub(super) fn interval_s(stamps_ns: &[i64]) -> Option<f64> {
     let steps = stamps_ns.iter().zip(stamps_ns.iter().skip(1)).map(|(a, b)| b.saturating_sub(*a));
-    upper_median(steps.map(|ns| ns as f64 * 1e-9))
+    upper_median(steps.map(seconds))
 }
 
 #[cfg(test)]

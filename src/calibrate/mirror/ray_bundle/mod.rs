@@ -16,6 +16,7 @@ use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{End, Equations, Loss, Row, Step, minimise};
 use crate::optics::NoRay;
 use crate::optics::{Sighting, triangulate};
+use crate::whitening::chi_square;
 use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Vector2, Vector3};
 
 /// Steps of the positions alone after each step of the shared unknowns.
@@ -164,7 +165,9 @@ impl RayBundle<'_> {
                 let e = self.model_error(sight);
                 let error = sight.along * *state.common.get(e)? + across * *state.common.get(e + 1)?;
                 let residual = sight.pixel - paths.get(sight.view)?.project(place).ok()? - error;
-                chi2 += residual.dot(&(sight.covariance_px2.try_inverse()? * residual));
+                // What is left out of the equations is left out here.
+                let Some(own) = chi_square(&residual, sight.covariance_px2) else { continue };
+                chi2 += own;
                 freedom += 2.0;
             }
             for (k, length) in self.lengths.iter().enumerate() {
