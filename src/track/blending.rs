@@ -12,10 +12,8 @@
 //! of pairs of pictures shown at half the rate; any while the coil never moves by one and a half pixels per frame, or
 //! at less than 17 frames per second, where no motion is kept (last.rs).
 
-use crate::estimate::Estimate;
 use crate::source::Timestamp;
-use crate::track::trials::{LONGEST_STEP_S, Trials};
-use nalgebra::{Matrix3, Vector3};
+use crate::track::trials::Trials;
 
 /// The way of a blend, in ways since the last frame: between that of the longest exposure, 1, and that of a blend of
 /// two equal pictures, √3. From here on it is one.
@@ -38,35 +36,15 @@ pub(crate) struct Blending {
     trials: Trials,
     /// Frames for more over those for less since the last decision.
     majority: i32,
-    /// Of each marker's position, m, and of the tangent.
-    last: Vec<Option<Moved>>,
 }
 
-/// Where something was last, and how far it had moved there.
-#[derive(Debug, Clone, Copy)]
-struct Moved {
-    stamp: Timestamp,
-    to: Vector3<f64>,
-    way: Vector3<f64>,
-}
-
-/// How far something has moved to get here: the longer one of its last two ways, as the older picture may have been
-/// blended too.
-fn moved(last: &mut Option<Moved>, stamp: Timestamp, to: Vector3<f64>) -> Vector3<f64> {
-    let before = *last;
-    let recent = before.filter(|before| (0.0..LONGEST_STEP_S).contains(&stamp.seconds_since(before.stamp)));
-    let earlier = before.map_or_else(Vector3::zeros, |before| before.way);
-    let way = recent.map_or(earlier, |before| to - before.to);
-    *last = Some(Moved { stamp, to, way });
-    if way.norm() < earlier.norm() { earlier } else { way }
+impl Default for Blending {
+    fn default() -> Self {
+        Self { way: LEAST, trials: Trials::default(), majority: 0 }
+    }
 }
 
 impl Blending {
-    /// Of pictures with so many markers.
-    pub(crate) fn new(markers: usize) -> Self {
-        Self { way: LEAST, trials: Trials::default(), majority: 0, last: vec![None; markers + 1] }
-    }
-
     /// Whether the pictures are blended.
     pub(crate) fn is_seen(&self) -> bool {
         self.way > LEAST
@@ -102,21 +80,9 @@ impl Blending {
         self.is_seen() && before <= LEAST
     }
 
-    /// Adds to the covariances of a frame what the motion since the last one adds.
-    pub(crate) fn widen(&mut self, estimate: &mut Estimate) {
-        let stamp = estimate.stamp;
-        let variance = if self.is_seen() { self.way * self.way / 12.0 } else { 0.0 };
-        for (marker, last) in estimate.markers.iter_mut().zip(&mut self.last) {
-            if let Ok(position) = &mut marker.position {
-                let way = moved(last, stamp, position.point.coords);
-                position.covariance += way * way.transpose() * variance;
-            }
-        }
-        if let (Ok(tangent), Some(last)) = (&mut estimate.tangent, self.last.last_mut()) {
-            let across = Matrix3::identity() - tangent.direction * tangent.direction.transpose();
-            let turn = across * moved(last, stamp, tangent.direction);
-            tangent.covariance += turn * turn.transpose() * variance;
-        }
+    /// How late what moves may be shown, frames.
+    pub(crate) fn late(&self) -> f64 {
+        if self.is_seen() { self.way / 12_f64.sqrt() } else { 0.0 }
     }
 }
 
@@ -127,7 +93,7 @@ mod tests {
 
     /// The way after some decisions on pictures that are blurred along another one, which the misfits tell so clearly.
     fn found(true_way: f64, clearly: f64) -> f64 {
-        let (mut blending, mut random) = (Blending::new(0), Random::new(3));
+        let (mut blending, mut random) = (Blending::default(), Random::new(3));
         for _ in 0..40 * MAJORITY {
             let misfit = |way: f64| clearly * (way / true_way).ln().powi(2) + 0.003 * random.normal();
             blending.add([blending.way / STEP, blending.way * STEP].map(misfit));

@@ -99,6 +99,11 @@ impl TubeFit {
         self.views.iter().map(|view| view.slip_response * slip_px).sum()
     }
 
+    /// Size of a pixel at the reference band, metres: that of the view with the smallest.
+    pub(crate) fn pixel_m(&self) -> f64 {
+        self.views.iter().map(|view| 1.0 / view.image.at_arc(0.0).scale).fold(f64::MAX, f64::min)
+    }
+
     /// By how much the views disagree: χ² of the shifts that they alone would give.
     pub(crate) fn disagreement(&self) -> f64 {
         let chi2 = |view: &ViewFit| {

@@ -7,6 +7,7 @@ mod assign;
 #[cfg(test)]
 mod assign_tests;
 mod blending;
+mod blocks;
 mod by_band;
 mod carried;
 mod channel;
@@ -16,6 +17,7 @@ mod compare;
 mod copied;
 mod covariance;
 pub(crate) mod curve;
+mod denoised;
 mod diameter;
 mod equations;
 mod fields;
@@ -60,6 +62,7 @@ mod tube_image;
 mod usual;
 mod view;
 mod warnings;
+mod ways;
 mod widths;
 
 pub use coil::deflection;

@@ -6,9 +6,11 @@ use crate::segment::SegmentError;
 use crate::source::{Frame, Picture, PixelFormat, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::blending::Blending;
+use crate::track::blocks::Blocks;
 use crate::track::carried;
 use crate::track::coil::deflection;
 use crate::track::copied::Copied;
+use crate::track::denoised::Denoised;
 use crate::track::diameter::Diameter;
 use crate::track::fields::Fields;
 use crate::track::find::{Finder, Found};
@@ -36,9 +38,10 @@ use crate::track::slip::Seen;
 use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::{ShapeStep, TubeShape};
 use crate::track::warnings::{
-    BLENDED, COLOURS_LAG, COPIED, FRINGES, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES,
-    SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
+    BLENDED, COLOURS_LAG, COPIED, DENOISED, FRINGES, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA,
+    SHAKES, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
 };
+use crate::track::ways::Ways;
 use nalgebra::{Matrix3, Vector2};
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
@@ -96,12 +99,15 @@ pub struct Tracker {
     motion: Motion,
     focus: Focus,
     blending: Blending,
+    denoised: Denoised,
+    ways: Ways,
     lag: Lag,
     order: Order,
     shake: Shake,
     moved: Moved,
     repeats: Repeats,
     pairs: Pairs,
+    blocks: Blocks,
     copied: Copied,
     interpolated: Interpolated,
     grain: Grain,
@@ -139,13 +145,16 @@ impl Tracker {
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
             focus: Focus::of(rig),
-            blending: Blending::new(rig.markers.len()),
+            blending: Blending::default(),
+            denoised: Denoised::default(),
+            ways: Ways::new(rig.markers.len()),
             lag: Lag::default(),
             order: Order::default(),
             shake: Shake::default(),
             moved: Moved::default(),
             repeats: Repeats::default(),
             pairs: Pairs::default(),
+            blocks: Blocks::default(),
             copied: Copied::default(),
             interpolated: Interpolated::default(),
             grain: Grain::default(),
@@ -221,8 +230,11 @@ impl Tracker {
             found => found?,
         };
         self.pairs.add(picture, &found.blobs);
-        if picture.is_decoded() {
-            self.copied.add(picture, found.windows_of(0));
+        // A coder that predicts makes noise last itself.
+        if picture.is_decoded() && !picture.quantisation().is_some_and(|own| own.predicted) {
+            let blocks = self.blocks.add(picture, found.windows_of(0));
+            self.copied.add(picture, &blocks);
+            self.denoised.add(&blocks);
         }
         self.look_for_mosaic(picture, &found);
         let (converted, noisy) = (self.pairs.are_alike(), self.grain.is_sensor());
@@ -283,6 +295,7 @@ impl Tracker {
             (self.moved.swings(), SWINGS),
             (self.focus.has_changed() && self.rig.blurs_px().all(|blur| blur.is_some()), OUT_OF_FOCUS),
             (self.blending.is_seen(), BLENDED),
+            (self.denoised.is_seen() && self.model.first_coded.is_none(), DENOISED),
             (self.lag.is_seen(), COLOURS_LAG),
             (self.order.is_wrong(), OUT_OF_ORDER),
             (self.fields.are_woven(), WOVEN),
@@ -403,6 +416,7 @@ impl Tracker {
     fn look_at_motion(&mut self, stamp: Timestamp, fitted: &[Fitted]) -> Option<f64> {
         let (of_coil, fit) = self.of_coil(fitted)?;
         let ways_px = self.ways_px(stamp, of_coil, fit)?;
+        self.denoised.pixel_m = fit.pixel_m();
         self.lag.fade();
         for ((v, view), way_px) in of_coil.views.iter().zip(&fit.views).zip(&ways_px) {
             let [across, _] = view.image.at_arc(0.0).axes();
@@ -533,7 +547,8 @@ impl Tracker {
         if let (Ok(tangent), Some(scatter)) = (&mut estimate.tangent, self.scatter.last_mut()) {
             tangent.covariance *= scatter.add(stamp, tangent.direction, &tangent.covariance, persisting);
         }
-        self.blending.widen(estimate);
+        let late = |way_m| self.blending.late().max(self.denoised.late(way_m));
+        self.ways.widen(estimate, self.rig.catheter.coil, late);
     }
 }
 

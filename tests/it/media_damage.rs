@@ -103,6 +103,60 @@ fn the_number_of_threads_does_not_change_what_a_damaged_video_gives() {
     }
 }
 
+/// The recording without some packets, counted in decoding order.
+fn without(packets: std::ops::Range<usize>, recording: &Path, to: &Path) {
+    let mut input = av::format::input(recording).unwrap();
+    let mut output = av::format::output(to).unwrap();
+    let from = {
+        let stream = input.streams().best(av::media::Type::Video).unwrap();
+        output.add_stream(av::encoder::find(av::codec::Id::None)).unwrap().set_parameters(stream.parameters());
+        stream.time_base()
+    };
+    output.write_header().unwrap();
+    let stored = output.stream(0).unwrap().time_base();
+    let (mut packet, mut decoded) = (av::Packet::empty(), i64::MIN);
+    for k in 0.. {
+        if packet.read(&mut input).is_err() {
+            break;
+        }
+        packet.rescale_ts(from, stored);
+        decoded = packet.dts().map_or(decoded, |dts| dts.max(decoded.saturating_add(1)));
+        packet.set_dts(Some(decoded));
+        packet.set_position(-1);
+        packet.set_stream(0);
+        if !packets.contains(&k) {
+            packet.write_interleaved(&mut output).unwrap();
+        }
+    }
+    output.write_trailer().unwrap();
+}
+
+/// As a recorder loses them whose disk is too slow, and as streams begin that are joined later.
+#[test]
+fn pictures_predicted_from_packets_that_were_lost_are_not_trusted_and_each_has_its_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let (whole, cut) = (folder.path().join("whole.mkv"), folder.path().join("cut.mkv"));
+    let pts: Vec<i64> = (0..60).map(|k| 17 * k).collect();
+    for (encoder, b_frames) in [("libx264", 0), ("libx264", 2), ("libx265", 0)] {
+        write(&whole, &Recording { pts: &pts, size_px: [160, 120], encoder, b_frames, ..Recording::default() });
+        let sound = read(&whole, 1);
+        assert!(sound.len() == 60 && sound.iter().all(|frame| !frame.1), "{encoder}");
+        let mut damaged = 0;
+        for lost in [0..1, 0..3, 5..6, 15..17, 26..27, 27..30] {
+            without(lost.clone(), &whole, &cut);
+            for threads in [1, 2] {
+                let found = read(&cut, threads);
+                let what = format!("{encoder}, {b_frames} B pictures, {lost:?} lost, {threads} threads");
+                assert_eq!(lies(&found, &sound), 0, "{what}");
+                assert_eq!(found.len(), 60 - lost.len(), "{what}");
+                damaged += found.iter().filter(|frame| frame.1).count();
+            }
+        }
+        // Most of a group each time, and no more.
+        assert!((40..=12 * 12).contains(&damaged), "{encoder}, {b_frames} B pictures: {damaged}");
+    }
+}
+
 #[test]
 fn most_damage_in_motion_jpeg_is_noticed() {
     let folder = tempfile::tempdir().unwrap();
