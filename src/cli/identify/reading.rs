@@ -310,8 +310,9 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
             delay.sd_s * 1e3
         );
     }
-    let held = match told.and_then(|delay| delay.drift).filter(Drift::is_significant) {
-        Some(drift) => without_drift(args, &source, held, drift, middle_s),
+    // Delays that explain the record about as well agree about the drift.
+    let held = match apparent.as_ref().and_then(|delay| delay.drift).filter(Drift::is_significant) {
+        Some(drift) => without_drift(args, &source, held, (drift, told.is_some()), middle_s),
         None => held,
     };
     let zero = apparent.as_ref().and_then(|delay| delay.zero).filter(|_| args.detrend() == Detrend::None);
@@ -346,10 +347,15 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
 }
 
 /// Tells that the clock of the currents drifts; with `--delay auto` the commands are moved to the camera's clock.
-fn without_drift(args: &Args, source: &str, held: Held, drift: Drift, middle_s: f64) -> Held {
+/// `told`: whether there is one delay, without which `--delay auto` refuses.
+fn without_drift(args: &Args, source: &str, held: Held, (drift, told): (Drift, bool), middle_s: f64) -> Held {
     let (ppm, sd) = (-1e6 * drift.rate, 1e6 * drift.sd);
     let fitted = args.delay == DelayArg::Auto;
-    let remedy = if fitted { "they are moved by it" } else { "--delay auto moves them by it" };
+    let remedy = match (fitted, told) {
+        (true, _) => "they are moved by it",
+        (false, true) => "--delay auto moves them by it",
+        (false, false) => "--delay auto would move them by it, if the delay could be told",
+    };
     tracing::warn!(
         "{source}: by a model of second order the clock of the currents seems to run {ppm:.1} ± {sd:.1} ppm fast \
          against the camera's, which spoils H(s); {remedy}. Better are currents with the camera's times"
