@@ -1,4 +1,7 @@
-//! Average output of an amplifier that holds its last command, between two times.
+//! Average output of an amplifier that holds its last command, between two times; and whether what is taken for such
+//! commands looks like a slower log of something else.
+
+use crate::median::median;
 
 /// A hold is long when it lasts this many times the usual one, and this long.
 const LONG_TIMES: f64 = 20.0;
@@ -6,6 +9,13 @@ const LONG_S: f64 = 1.0;
 /// Fewest commands of which a usual hold is known, and the part of the holds that is no longer than it.
 const MIN_COMMANDS: usize = 10;
 const USUAL_PART: f64 = 0.9;
+/// A log of something else: part of its rows that bring another value, and fewest values. Levels are few.
+const CHANGING_PART: f64 = 0.8;
+const MANY_VALUES: usize = 10;
+/// Stairs: fewest steps, the part of them that are equally long, and the relative difference of values that are one.
+const MIN_STEPS: usize = 20;
+const REGULAR_PART: f64 = 0.9;
+const ROUNDING: f64 = 1e-6;
 
 /// A value that is held for long, seconds of the commands' clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,6 +34,27 @@ fn usual_s(time_s: &[f64]) -> Option<f64> {
     }
     holds.sort_by(f64::total_cmp);
     holds.get((USUAL_PART * (holds.len() - 1) as f64) as usize).copied()
+}
+
+/// Whether there are more values than the levels of an excitation by steps.
+fn are_many(values: &[f64]) -> bool {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.dedup();
+    sorted.len() >= MANY_VALUES
+}
+
+/// The number of rows for which a signal of many values keeps each, if that is the same nearly always, and more than 1.
+pub(crate) fn stairs(values: &[f64]) -> Option<usize> {
+    let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    let same = |a: &f64, b: &f64| (a - b).abs() <= ROUNDING * (high - low);
+    let mut lengths: Vec<usize> = values.chunk_by(same).map(<[f64]>::len).collect();
+    // Nobody knows when the first began, and the last may be cut short.
+    lengths.pop();
+    let lengths = lengths.get(1..).filter(|lengths| lengths.len() >= MIN_STEPS)?;
+    let usual = median(lengths.iter().map(|length| *length as f64))? as usize;
+    let regular = lengths.iter().filter(|length| **length == usual).count();
+    (usual > 1 && regular as f64 >= REGULAR_PART * lengths.len() as f64 && are_many(values)).then_some(usual)
 }
 
 /// Commands with their times, on any clock; each acts until the next.
@@ -87,6 +118,16 @@ impl Held {
         self.time_s.first().copied().zip(self.time_s.last().copied())
     }
 
+    /// The usual time between commands, seconds, if nearly each brings another of many values: they may be a log that is
+    /// slower than what it logs.
+    pub(crate) fn logged_every_s(&self) -> Option<f64> {
+        let pairs = || self.value.iter().zip(self.value.iter().skip(1));
+        let changes = pairs().filter(|(a, b)| a != b).count();
+        let all_change = self.value.len() >= MIN_COMMANDS && changes as f64 >= CHANGING_PART * pairs().count() as f64;
+        let steps = self.time_s.iter().zip(self.time_s.iter().skip(1)).map(|(a, b)| b - a);
+        if all_change && are_many(&self.value) { median(steps) } else { None }
+    }
+
     /// The longest time, up to `end_s`, for which a value other than zero is held, if commands usually come far more
     /// often: perhaps some are missing.
     pub(crate) fn longest_hold(&self, end_s: f64) -> Option<LongHold> {
@@ -141,6 +182,29 @@ mod tests {
         let rest = Held::new((0..1000).map(|k| (k as f64 * 0.005, if k == 999 { 0.0 } else { 1.0 })).collect());
         assert_eq!(rest.longest_hold(60.0), None);
         assert_eq!(Held::new(vec![(0.0, 0.1), (2.0, -0.1)]).longest_hold(60.0), None);
+    }
+
+    #[test]
+    fn a_log_of_many_values_is_told_from_levels_and_from_changes_among_repeated_rows() {
+        let every = |value: fn(usize) -> f64| {
+            Held::new((0..400).map(|k| (k as f64 * 0.1, value(k))).collect()).logged_every_s()
+        };
+        assert!((every(|k| (k as f64 * 0.7).sin()).unwrap() - 0.1).abs() < 1e-9);
+        assert_eq!(every(|k| if k * k % 7 > 3 { 0.1 } else { -0.1 }), None);
+        assert_eq!(every(|k| ((k / 3) as f64 * 0.7).sin()), None);
+        assert_eq!(Held::new(vec![(0.0, 1.0), (1.0, 2.0)]).logged_every_s(), None);
+    }
+
+    #[test]
+    fn stairs_are_seen_and_smooth_inputs_levels_and_coarse_steps_are_not() {
+        let smooth = |k: usize| (k as f64 * k as f64 * 1e-4).sin();
+        let signal = |of: &dyn Fn(usize) -> f64| (0..1000).map(of).collect::<Vec<f64>>();
+        assert_eq!(stairs(&signal(&|k| smooth(5 * (k / 5)))), Some(5));
+        assert_eq!(stairs(&signal(&smooth)), None);
+        assert_eq!(stairs(&signal(&|k| (8.0 * smooth(k)).round())), None);
+        assert_eq!(stairs(&signal(&|k| f64::from(u8::from((k / 5) * (k / 5) % 7 > 3)))), None);
+        assert_eq!(stairs(&[]), None);
+        assert_eq!(stairs(&[1.0; 100]), None);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay, Drift, Timing};
 use crate::identify::fit::InitialState;
 use crate::identify::grid::{Grid, Series, coarser, cut, resample};
-use crate::identify::hold::{Held, LongHold};
+use crate::identify::hold::{Held, LongHold, stairs};
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
 use crate::identify::provenance::{Provenance, RecordSummary};
@@ -27,6 +27,8 @@ const TIMES: [&str; 4] = ["t_s", "time_s", "t", "time"];
 const MOST_AMPERES: f64 = 50.0;
 /// Angle below which all of a record is hardly a deflection in degrees.
 const LEAST_DEGREES: f64 = 1.0;
+/// Frames between two rows of currents from which on their log is slow.
+const SLOW_LOG: f64 = 1.5;
 /// The input of a log without Eq. 6.
 const CURRENT: &str = "current";
 
@@ -189,6 +191,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
             return Err(Failure::usage("the time from row to row is not known: give --period S, or --time COLUMN"));
         }
     };
+    warn_of_stairs(&name, &drive);
     let missed = output.iter().filter(|y| y.is_none()).count();
     let series = Series { name: name.clone(), time_s, drive, output, ..Series::default() };
     let (record, grid, bridged) = on_grid(args, &series)?;
@@ -219,6 +222,32 @@ fn warn_of_another_time(file: &Path, period_s: f64) {
             file.display()
         );
         return;
+    }
+}
+
+/// Warns if an input looks like a log that is slower than the table.
+fn warn_of_stairs(name: &str, input: &[Option<f64>]) {
+    let values: Vec<f64> = input.iter().flatten().copied().collect();
+    let slopes: Vec<f64> = values.iter().zip(values.iter().skip(1)).map(|(before, after)| after - before).collect();
+    let (rows, what) = match (stairs(&values), stairs(&slopes)) {
+        (Some(rows), _) => (rows, "keeps each value"),
+        (None, Some(rows)) => (rows, "is a straight line"),
+        (None, None) => return,
+    };
+    tracing::warn!(
+        "{name}: the input {what} for {rows} rows, again and again: if it really changes so, all is well; if it was \
+         logged more slowly than it changed, what happened in between is not known, and H(s) is wrong"
+    );
+}
+
+/// Warns if the commands are fewer than the frames and look like a log.
+fn warn_of_slow_log(source: &str, held: &Held, period_s: f64) {
+    if let Some(every_s) = held.logged_every_s().filter(|every_s| *every_s > SLOW_LOG * period_s) {
+        tracing::warn!(
+            "{source}: currents come every {every_s:.3} s and frames every {period_s:.3} s: each current is taken as \
+             held until the next. If the amplifier was told more often than this table, what happened in between is \
+             not known, and H(s) is wrong"
+        );
     }
 }
 
@@ -266,8 +295,12 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
              usually come every {usual_s:.3} s: is the table complete?"
         );
     }
-    if let Some(largest) = held.largest().filter(|a| plant.is_some() && *a > MOST_AMPERES) {
-        tracing::warn!("{source}: holds currents of up to {largest:.0} A: Eq. 6 needs amperes; are these mA?");
+    if let Some(largest) = held.largest().filter(|a| *a > MOST_AMPERES) {
+        let taken = if plant.is_some() { "Eq. 6 needs amperes" } else { "they are taken as amperes" };
+        tracing::warn!("{source}: holds currents of up to {largest:.0} A: {taken}; are these mA?");
+    }
+    if let Ok(grid) = observed.grid() {
+        warn_of_slow_log(&source, &held, grid.period_s);
     }
     let largest_rad = observed.theta_rad.iter().flatten().fold(0.0, |largest: f64, theta| largest.max(theta.abs()));
     if largest_rad < LEAST_DEGREES.to_radians() {
