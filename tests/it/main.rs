@@ -41,6 +41,7 @@ mod hostile_input;
 mod identify;
 mod identify_applied;
 mod identify_bad_input;
+mod identify_commands;
 mod identify_planes;
 mod identify_python;
 mod instructions;

@@ -1,0 +1,98 @@
+//! What `catoptra identify` says about commands: their clock, their unit, and how often they were logged.
+
+use crate::support::random::Random;
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+const COMMANDS: usize = 2460;
+const FRAMES: usize = 2390;
+
+fn current_a(command: usize) -> f64 {
+    let t = command as f64 / 60.0;
+    0.1 * (TAU * (0.2 * t + 1.9 * t * t / 41.0)).sin()
+}
+
+/// A pendulum of 6 rad/s, driven by commands at 60 Hz and seen at 59.97 Hz: a record, its table of currents, of which
+/// only every so many rows are told, and the input and output of every command. The camera's clock is fast by `ppm`.
+fn record(folder: &Path, ppm: f64, rows: usize, unit: f64) {
+    const STEPS: usize = 60;
+    let step_s = 1.0 / (60.0 * STEPS as f64);
+    let mut random = Random::new(1);
+    let (mut angle, mut speed) = (0.0_f64, 0.0_f64);
+    let mut seen = "seq,t_s,stamp_ns,theta_deg,theta_sd_deg,gap\n".to_owned();
+    let (mut currents, mut single) = ("t_s,axial_a\n".to_owned(), "t,u,y\n".to_owned());
+    let mut frame = 0;
+    for command in 0..COMMANDS {
+        let t = command as f64 / 60.0;
+        if command % rows == 0 {
+            writeln!(currents, "{t:.6},{:.6}", unit * current_a(command)).unwrap();
+        }
+        let noisy = angle.to_degrees() + 0.11 * random.normal();
+        writeln!(single, "{t:.6},{:.6},{noisy:.6}", current_a(command / rows * rows)).unwrap();
+        for step in 0..STEPS {
+            let at_s = 0.0123 + frame as f64 / 59.97;
+            if t + step as f64 * step_s >= at_s && frame < FRAMES {
+                let (theta, clock_s) = (angle.to_degrees() + 0.11 * random.normal(), at_s * (1.0 + 1e-6 * ppm));
+                writeln!(seen, "{frame},{clock_s:.9},{:.0},{theta:.6},0.11,0", 1e9 * clock_s).unwrap();
+                frame += 1;
+            }
+            speed += step_s * (108.0 * current_a(command) - 3.6 * speed - 36.0 * angle);
+            angle += step_s * speed;
+        }
+    }
+    fs::write(folder.join("run.csv"), seen).unwrap();
+    fs::write(folder.join("currents.csv"), currents).unwrap();
+    fs::write(folder.join("single.csv"), single).unwrap();
+}
+
+/// What is said about a record.
+fn told(folder: &Path, args: &[&str]) -> String {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    program.current_dir(folder).arg("identify").args(args);
+    let output = program.args(["--order", "2", "--nk", "1", "--bootstrap", "0", "-o", "out"]).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{text}");
+    fs::remove_dir_all(folder.join("out")).unwrap();
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+const CURRENT: [&str; 5] = ["run.csv", "--input", "current", "--currents", "currents.csv"];
+const SINGLE: [&str; 7] = ["single.csv", "--input", "u", "--output", "y", "--time", "t"];
+
+/// The delay of such a record can hardly be told; the drift can.
+#[test]
+fn a_clock_that_drifts_is_told_where_the_delay_is_not() {
+    let folder = tempfile::tempdir().unwrap();
+    record(folder.path(), -300.0, 1, 1.0);
+    let drifts = told(folder.path(), &CURRENT);
+    assert!(drifts.contains("the clock of the currents seems to run"), "{drifts}");
+    record(folder.path(), 0.0, 1, 1.0);
+    let same = told(folder.path(), &CURRENT);
+    assert!(!same.contains("the clock of the currents") && !same.contains("mA?"), "{same}");
+}
+
+#[test]
+fn milliamperes_are_asked_about_without_a_plant() {
+    let folder = tempfile::tempdir().unwrap();
+    record(folder.path(), 0.0, 1, 1e3);
+    let milli = told(folder.path(), &CURRENT);
+    assert!(milli.contains("holds currents of up to 100 A") && milli.contains("are these mA?"), "{milli}");
+}
+
+#[test]
+fn a_log_that_is_slower_than_the_frames_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    record(folder.path(), 0.0, 6, 1.0);
+    let slow = told(folder.path(), &CURRENT);
+    assert!(slow.contains("currents come every 0.100 s and frames every 0.017 s"), "{slow}");
+    let stairs = told(folder.path(), &SINGLE);
+    assert!(stairs.contains("the input keeps each value for 6 rows, again and again"), "{stairs}");
+    record(folder.path(), 0.0, 1, 1.0);
+    let quick = told(folder.path(), &CURRENT);
+    assert!(!quick.contains("currents come every"), "{quick}");
+    let quick = told(folder.path(), &SINGLE);
+    assert!(!quick.contains("again and again"), "{quick}");
+}
