@@ -42,7 +42,7 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
         if let Some(delay) = &record.delay {
             write!(text, "; output late by {} ± {:.1} ms", fixed(delay.delay_s * 1e3, 1), delay.sd_s * 1e3)?;
             if let Some(others) = delay.others_in_words() {
-                write!(text, ", or by {others}")?;
+                write!(text, " (by {others} as well, or in between)")?;
             }
         }
         if let Some(zero) = &record.zero {

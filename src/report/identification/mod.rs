@@ -414,7 +414,7 @@ fn records_table(provenance: &Provenance) -> String {
             format!("{:.3}", r.period_s * 1e3),
             format!("{:.3}", r.jitter_s * 1e3),
             r.delay.as_ref().map_or_else(String::new, |d| {
-                let others = d.others_in_words().map_or_else(String::new, |others| format!(", or {others}"));
+                let others = d.others_in_words().map_or_else(String::new, |others| format!(" ({others} as well)"));
                 format!("{} ± {:.1}{others}", fixed(d.delay_s * 1e3, 1), d.sd_s * 1e3)
             }),
             zero(r),
