@@ -1,4 +1,4 @@
-//! Whether a record says that the system is not linear: an amplifier that saturates, a dead zone, backlash.
+//! Whether a record says that the system is not linear: an amplifier that saturates, a dead zone, backlash, friction.
 //!
 //! A long ARX model, with a constant, has room for any linear response and colour of the noise: what is left is white.
 //! It is tested for four signals that no linear model makes from the input (a score test, Ljung, System Identification,
@@ -6,12 +6,18 @@
 //! of the input beyond half of its largest value, the direction in which it last changed, and both of the simulated
 //! output. If the system is linear each has a coefficient of zero, and its ratio to σ is normal.
 //!
+//! Coulomb friction is a part of the input that always has the sign of the output's velocity, through the system. It
+//! is small from sample to sample, in the ARX model's noise: it is tested for in what the model's simulation leaves,
+//! for noise of any colour. What further lags of the input explain, directly and through the model's poles up to
+//! three times, is taken out before: the model's own errors, and most of what a higher order would explain.
+//!
 //! Cannot tell: which of input and output it is about, where one follows the other; what little noise hides in a record
 //! that is sampled much faster than it moves; an input of two levels, whose amplitude is always the same.
 
 use super::colour::Colour;
-use super::data::{Record, Segment};
-use super::model::Polynomials;
+use super::data::Record;
+use super::fit::{InitialState, Kind, output};
+use super::model::{Polynomials, all_pole};
 use super::regression::{Triangle, row, solve};
 use nalgebra::{DMatrix, DVector};
 use std::fmt;
@@ -24,6 +30,10 @@ const SIGNIFICANT_SD: f64 = 5.0;
 /// Changes of the gain, and widths as a part of the signal's range, that are told.
 const LEAST_CHANGE: f64 = 0.05;
 const LEAST_WIDTH: f64 = 0.01;
+/// The same of friction, as a part of the input's range: one of 0.3 % changes the damping of a light system by 4 %.
+const LEAST_FRICTION: f64 = 0.001;
+/// How often the input goes through the model's poles.
+const PASSES: usize = 3;
 /// Of a test signal, the part that the linear model cannot make, below which nothing can be told.
 const LEAST_OWN: f64 = 1e-7;
 /// Where a large amplitude begins, as a part of the largest.
@@ -36,6 +46,8 @@ pub enum Element {
     Gain(f64),
     /// The difference between rising and falling, as a part of the signal's range.
     Width(f64),
+    /// The part of the input that is always against the motion, over the input's range.
+    Friction(f64),
 }
 
 /// What a record says.
@@ -54,6 +66,11 @@ impl fmt::Display for Nonlinear {
         let Self { of, element, sigmas } = self;
         let sigmas = sigmas.abs();
         match element {
+            Element::Gain(change) if *change <= -1.0 => write!(
+                f,
+                "beyond half of the largest {of} the output hardly follows any further ({sigmas:.0} σ): does the \
+                 amplifier, or something in the way, limit it? A linear model holds for one amplitude"
+            ),
             Element::Gain(change) => {
                 let percent = 100.0 * change.abs();
                 let (more, why) = if *change < 0.0 {
@@ -70,22 +87,42 @@ impl fmt::Display for Nonlinear {
             Element::Width(width) => write!(
                 f,
                 "what the output does depends on whether the {of} rises or falls, by {:.1} % of its range \
-                 ({sigmas:.0} σ): is there backlash, friction, or hysteresis?",
+                 ({sigmas:.0} σ): is there backlash, friction or hysteresis, or a delay beyond --nk?",
                 100.0 * width
+            ),
+            Element::Friction(part) => write!(
+                f,
+                "{:.2} % of the {of}'s range is always lost against the motion ({sigmas:.0} σ), as by friction: the \
+                 damping of a linear model is then too large, and another for each amplitude",
+                100.0 * part
             ),
         }
     }
 }
 
-/// The most significant of the four, if any is. `model` is a stable one of the record.
+/// The most significant of the five, if any is. `model` is a stable one of the record.
 pub(super) fn nonlinear(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
-    let long = Long::of(record, model.nk)?;
-    let Polynomials { a, b, nk } = &long.model;
+    let static_ones = of_static_elements(model, record).into_iter().flatten();
+    let told = static_ones.chain(friction(model, record)).filter(|found| found.sigmas.abs() > SIGNIFICANT_SD);
+    told.max_by(|a, b| a.sigmas.abs().total_cmp(&b.sigmas.abs()))
+}
+
+/// Elements before and behind the system that are large enough.
+fn of_static_elements(model: &Polynomials, record: &Record) -> Option<Vec<Nonlinear>> {
+    let nk = model.nk;
+    let of_sample = |k: usize, t: usize| {
+        let lags = record.segments.get(k).into_iter().flat_map(|segment| row(segment, t, (ORDER, ORDER, nk)));
+        lags.take(2 * ORDER).chain([1.0]).collect()
+    };
+    let observed = record.segments.iter().map(|s| s.output.iter().copied().take(s.len()).collect()).collect();
+    let long = Regression::of(observed, (ORDER + nk, 2 * ORDER + 1), of_sample)?;
+    let (linear, _) = long.parameters.as_slice().split_at_checked(2 * ORDER)?;
+    let Polynomials { a, b, nk } = Polynomials::of(linear, ORDER, nk);
     let input: Vec<Vec<f64>> = record.segments.iter().map(|s| s.input.clone()).collect();
     let output: Vec<Vec<f64>> = input.iter().map(|u| model.simulate(u)).collect();
     // An element before the system acts through B, one behind it through A.
-    let before = Polynomials { a: vec![1.0], b: b.clone(), nk: *nk };
-    let behind = Polynomials { a: vec![1.0], b: a.clone(), nk: 0 };
+    let before = Polynomials { a: vec![1.0], b, nk };
+    let behind = Polynomials { a: vec![1.0], b: a, nk: 0 };
     let both = [("input", &input, before), ("output", &output, behind)];
     let tests = both.iter().flat_map(|(of, signal, through)| {
         let range = Range::of(signal);
@@ -102,12 +139,42 @@ pub(super) fn nonlinear(model: &Polynomials, record: &Record) -> Option<Nonlinea
         let large = |element: &Element| match element {
             Element::Gain(change) => change.abs() > LEAST_CHANGE,
             Element::Width(width) => *width > LEAST_WIDTH,
+            Element::Friction(part) => *part > LEAST_FRICTION,
         };
-        [gain, width].into_iter().flatten().filter(move |(element, _)| large(element)).map(|(e, z)| (*of, e, z))
+        let found = [gain, width].into_iter().flatten().filter(move |(element, _)| large(element));
+        found.map(|(element, sigmas)| Nonlinear { of, element, sigmas })
     });
-    let told = tests.filter(|(.., sigmas)| sigmas.abs() > SIGNIFICANT_SD);
-    let (of, element, sigmas) = told.max_by(|a, b| a.2.abs().total_cmp(&b.2.abs()))?;
-    Some(Nonlinear { of, element, sigmas })
+    Some(tests.collect())
+}
+
+/// Coulomb friction that is large enough.
+fn friction(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
+    let order = model.na();
+    let input: Vec<Vec<f64>> = record.segments.iter().map(|s| s.input.clone()).collect();
+    let simulated = |s| output(model, s, Kind::Simulation(InitialState::Rest));
+    let modelled: Vec<Vec<f64>> = record.segments.iter().map(simulated).collect();
+    let pairs = record.segments.iter().zip(&modelled);
+    let left = pairs.map(|(s, modelled)| s.output.iter().zip(modelled).map(|(y, m)| y - m).collect()).collect();
+    let through_poles = |u: &Vec<f64>| {
+        let pass = |last: &Vec<f64>| Some(all_pole(&model.a, last.clone()));
+        std::iter::successors(pass(u), pass).take(PASSES).collect::<Vec<_>>()
+    };
+    let passed: Vec<Vec<Vec<f64>>> = input.iter().map(through_poles).collect();
+    let of_sample = |k: usize, t: usize| {
+        let lags = |signal: &[f64], count: usize| {
+            let place = |lag: usize| signal.get(t.checked_sub(model.nk + lag)?).copied();
+            (0..count).map(|lag| place(lag).unwrap_or_default()).collect::<Vec<_>>()
+        };
+        let direct = input.get(k).map(|u| lags(u, ORDER)).into_iter().flatten();
+        let through = passed.get(k).into_iter().flatten().flat_map(|signal| lags(signal, order));
+        direct.chain(through).chain([1.0]).collect()
+    };
+    let from = ORDER.max(order) + model.nk;
+    let linear = Regression::of(left, (from, ORDER + PASSES * order + 1), of_sample)?;
+    let against: Vec<Vec<f64>> = modelled.iter().map(|y| model.simulate(&directions(y))).collect();
+    let (coefficient, sigmas) = linear.coefficient(&against)?;
+    let part = -coefficient / Range::of(&input).width;
+    (part > LEAST_FRICTION).then_some(Nonlinear { of: "input", element: Element::Friction(part), sigmas })
 }
 
 /// The extent of a signal.
@@ -139,73 +206,67 @@ fn directions(signal: &[f64]) -> Vec<f64> {
     signal.iter().map(&mut next).collect()
 }
 
-/// A long model of one record, and what it was fitted to.
-struct Long<'a> {
-    segments: &'a [Segment],
-    model: Polynomials,
-    /// What it leaves of the output; NaN where there is no row.
+/// A linear model of one record, by least squares.
+struct Regression<R> {
+    /// What is explained; NaN where nothing was observed.
+    target: Vec<Vec<f64>>,
+    /// The first sample of a segment with a full past, and the number of regressors.
+    from: usize,
+    columns: usize,
+    /// Regressors of a sample, by the numbers of segment and sample.
+    regressors: R,
+    parameters: DVector<f64>,
+    /// What it leaves of the target; NaN where there is no row.
     residual: Vec<Vec<f64>>,
 }
 
-impl<'a> Long<'a> {
-    fn of(record: &'a Record, nk: usize) -> Option<Self> {
-        let model = Polynomials { a: Vec::new(), b: Vec::new(), nk };
-        let mut long = Self { segments: &record.segments, model, residual: Vec::new() };
-        let parameters = long.solved(|_, _| None)?;
-        let (linear, _) = parameters.as_slice().split_at_checked(2 * ORDER)?;
-        long.model = Polynomials::of(linear, ORDER, nk);
-        long.residual = long.left(&parameters, |_, _| None);
-        Some(long)
+impl<R: Fn(usize, usize) -> Vec<f64>> Regression<R> {
+    fn of(target: Vec<Vec<f64>>, (from, columns): (usize, usize), regressors: R) -> Option<Self> {
+        let (parameters, residual) = (DVector::zeros(0), Vec::new());
+        let mut model = Self { target, from, columns, regressors, parameters, residual };
+        model.parameters = model.solved(&model.target)?;
+        model.residual = model.left(&model.parameters, &model.target);
+        Some(model)
     }
 
-    /// Past outputs and inputs, a constant, and the output of every sample with a full past.
-    fn rows(&self, segment: &'a Segment) -> impl Iterator<Item = (usize, Vec<f64>)> + use<'a> {
-        let nk = self.model.nk;
-        (ORDER + nk..segment.len()).map(move |t| {
-            let mut row: Vec<f64> = row(segment, t, (ORDER, ORDER, nk)).collect();
-            row.insert(2 * ORDER, 1.0);
-            (t, row)
+    /// Places of the samples with a full past: segment, sample, and a signal's value there. NaN without an observation.
+    fn rows<'a>(&'a self, signal: &'a [Vec<f64>]) -> impl Iterator<Item = (usize, usize, f64)> + 'a {
+        let segments = self.target.iter().zip(signal).enumerate();
+        segments.flat_map(|(k, (target, signal))| {
+            let values = target.iter().zip(signal).enumerate().skip(self.from);
+            values.map(move |(t, (observed, value))| (k, t, value + 0.0 * observed))
         })
     }
 
-    /// Coefficients of the least-squares model of the output, or of another signal that `of` gives.
-    fn solved(&self, of: impl Fn(usize, usize) -> Option<f64>) -> Option<DVector<f64>> {
-        let mut triangle = Triangle::new(2 * ORDER + 2);
-        for (k, segment) in self.segments.iter().enumerate() {
-            for (t, mut row) in self.rows(segment) {
-                // Without an output there is no row.
-                if let (Some(value), Some(last)) = (of(k, t), row.last_mut().filter(|y| !y.is_nan())) {
-                    *last = value;
-                }
-                triangle.push(row);
-            }
+    /// Coefficients of the least-squares model of a signal.
+    fn solved(&self, signal: &[Vec<f64>]) -> Option<DVector<f64>> {
+        let mut triangle = Triangle::new(self.columns + 1);
+        for (k, t, value) in self.rows(signal).filter(|(.., value)| !value.is_nan()) {
+            triangle.push((self.regressors)(k, t).into_iter().chain([value]));
         }
-        if triangle.rows() < ROWS_PER_COEFFICIENT * (2 * ORDER + 1) {
+        if triangle.rows() < ROWS_PER_COEFFICIENT * self.columns {
             return None;
         }
         solve(triangle.finish()).map(|solution| solution.parameters)
     }
 
-    /// What the model with these coefficients leaves of the output, or of another signal; NaN where there is no row.
-    fn left(&self, parameters: &DVector<f64>, of: impl Fn(usize, usize) -> Option<f64>) -> Vec<Vec<f64>> {
-        let part = |(k, segment): (usize, &'a Segment)| {
-            let mut left = vec![f64::NAN; segment.len()];
-            for (t, row) in self.rows(segment) {
-                let modelled: f64 = row.iter().zip(parameters.iter()).map(|(r, p)| r * p).sum();
-                let observed = row.last().copied().unwrap_or(f64::NAN);
+    /// What the model with these coefficients leaves of a signal; NaN where there is no row.
+    fn left(&self, parameters: &DVector<f64>, signal: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let mut left: Vec<Vec<f64>> = self.target.iter().map(|target| vec![f64::NAN; target.len()]).collect();
+        for (k, t, value) in self.rows(signal).filter(|(.., value)| !value.is_nan()) {
+            let modelled: f64 = (self.regressors)(k, t).iter().zip(parameters.iter()).map(|(r, p)| r * p).sum();
+            if let Some(left) = left.get_mut(k).and_then(|left| left.get_mut(t)) {
                 // NaN stays NaN.
-                left[t] = of(k, t).map_or(observed, |value| value + 0.0 * observed) - modelled;
+                *left = value - modelled;
             }
-            left
-        };
-        self.segments.iter().enumerate().map(part).collect()
+        }
+        left
     }
 
     /// The coefficient of a further signal, and its ratio to σ for a residual of any colour.
     fn coefficient(&self, signal: &[Vec<f64>]) -> Option<(f64, f64)> {
-        let value = |k: usize, t: usize| signal.get(k)?.get(t).copied();
         let whole: f64 = signal.iter().flatten().map(|v| v * v).sum();
-        let own = self.left(&self.solved(value)?, value);
+        let own = self.left(&self.solved(signal)?, signal);
         let mut left = self.residual.clone();
         let seen = || own.iter().flatten().copied().filter(|v| !v.is_nan());
         let (square, rows) = (seen().map(|v| v * v).sum::<f64>(), seen().count());
@@ -216,7 +277,7 @@ impl<'a> Long<'a> {
         let coefficient = pairs.map(|(c, e)| c * e).filter(|v| !v.is_nan()).sum::<f64>() / square;
         left.iter_mut().flatten().zip(own.iter().flatten()).for_each(|(e, c)| *e -= coefficient * c);
         let squares: f64 = left.iter().flatten().filter(|e| !e.is_nan()).map(|e| e * e).sum();
-        let sd = (squares / (rows - 2 * ORDER - 2) as f64).sqrt();
+        let sd = (squares / rows.checked_sub(self.columns + 1)? as f64).sqrt();
         let columns = own.iter().map(|part| {
             let known = part.iter().map(|v| if v.is_nan() { 0.0 } else { *v });
             DMatrix::from_iterator(part.len(), 1, known)
@@ -230,6 +291,7 @@ impl<'a> Long<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::data::Segment;
     use super::*;
     use crate::testing::random::Random;
     use std::f64::consts::TAU;
@@ -254,8 +316,12 @@ mod tests {
 
     /// What a record says whose input was `input`, while `real` acted.
     fn found(input: Vec<f64>, real: impl Fn(&[f64]) -> Vec<f64>, noise: f64, seed: u64) -> Option<Nonlinear> {
-        let mut random = Random::new(seed);
         let clean = model().simulate(&real(&input));
+        seen(input, &clean, noise, seed)
+    }
+
+    fn seen(input: Vec<f64>, clean: &[f64], noise: f64, seed: u64) -> Option<Nonlinear> {
+        let mut random = Random::new(seed);
         let output = clean.iter().enumerate().map(|(k, y)| {
             let noisy = y + noise * random.normal();
             if k % 97 == 50 { f64::NAN } else { noisy }
@@ -278,6 +344,13 @@ mod tests {
     }
 
     #[test]
+    fn a_gain_that_is_lost_altogether_is_put_into_words() {
+        let of = |change| Nonlinear { of: "input", element: Element::Gain(change), sigmas: -9.0 }.to_string();
+        assert!(of(-1.94).contains("hardly follows any further (9 σ)"), "{}", of(-1.94));
+        assert!(of(-0.4).contains("the gain is 40 % smaller"), "{}", of(-0.4));
+    }
+
+    #[test]
     fn saturation_and_a_dead_zone_are_told() {
         let each = |of: fn(f64) -> f64| move |u: &[f64]| u.iter().map(|v| of(*v)).collect::<Vec<f64>>();
         for seed in 1..=3 {
@@ -287,6 +360,41 @@ mod tests {
                 let dead = found(input.clone(), each(|u| u - u.clamp(-0.2, 0.2)), 0.02, seed).unwrap();
                 assert!(matches!(dead.element, Element::Gain(change) if change > 0.1), "{dead:?}");
             }
+        }
+    }
+    /// A pendulum of 6 rad/s with a friction of 1 % of the input's amplitude, and without one.
+    #[test]
+    fn friction_is_told_with_its_size() {
+        let pendulum = |input: &[f64], friction: f64| {
+            const STEPS: usize = 40;
+            let step_s = 1.0 / (60.0 * STEPS as f64);
+            let (mut angle, mut speed) = (0.0_f64, 0.0_f64);
+            let mut output = Vec::new();
+            for u in input {
+                output.push(angle);
+                for _ in 0..STEPS {
+                    let against = friction * (speed / 0.02).tanh();
+                    speed += step_s * (36.0 * (u - against) - 3.6 * speed - 36.0 * angle);
+                    angle += step_s * speed;
+                }
+            }
+            output
+        };
+        let fitted = |input: &[f64], output: &[f64], seed: u64| {
+            let mut random = Random::new(seed);
+            let output = output.iter().map(|y| y + 0.01 * random.normal()).collect();
+            let segment = Segment { input: input.to_vec(), output, from_rest: true, ..Segment::default() };
+            let start = Polynomials { a: vec![1.0, -1.932_087, 0.941_765], b: vec![0.004_88, 0.004_79], nk: 1 };
+            let model = crate::identify::output_error::refine(std::slice::from_ref(&segment), &start).unwrap();
+            nonlinear(&model.estimated.model, &Record { name: "r".to_owned(), segments: vec![segment] })
+        };
+        for seed in 1..=10 {
+            let told = fitted(&chirp(), &pendulum(&chirp(), 0.01), seed).unwrap();
+            // The range of the input is 2.
+            assert!(matches!(told.element, Element::Friction(part) if (0.004..0.006).contains(&part)), "{told:?}");
+            assert_eq!(fitted(&chirp(), &pendulum(&chirp(), 0.0), seed), None, "{seed}");
+            let levels = levels(30, seed, |u| u);
+            assert_eq!(fitted(&levels, &pendulum(&levels, 0.0), seed), None, "{seed}");
         }
     }
 }
