@@ -10,6 +10,8 @@ use std::fmt;
 
 /// Fraction of the output's energy that follows the input above which the input is the right one.
 const MIN_EXPLAINED: f64 = 0.5;
+/// Largest error that is told as a number, percent.
+const MOST_PERCENT: f64 = 1000.0;
 
 /// A reason why the result is less reliable than it looks.
 #[derive(Debug, Clone, PartialEq)]
@@ -155,6 +157,13 @@ pub enum Diagnostic {
         /// The model.
         title: String,
     },
+    /// The zero of H(s) acts like a delay of less than a sample.
+    DelayingZero {
+        /// The model.
+        title: String,
+        /// The delay, seconds.
+        delay_s: f64,
+    },
     /// Residuals of the full model are not white.
     Coloured {
         /// Lags beyond the bound, and the total number.
@@ -249,6 +258,14 @@ pub enum WayBack {
     Unknown,
 }
 
+/// An error, of which large figures say nothing.
+fn left_over(error_percent: f64) -> String {
+    if error_percent > MOST_PERCENT {
+        return format!("more than {MOST_PERCENT:.0} %");
+    }
+    format!("{error_percent:.0} %")
+}
+
 /// Whether a model that explains little is of too low an order, or of another input.
 fn why_poor(linear: Option<f64>) -> String {
     match linear {
@@ -302,12 +319,15 @@ impl fmt::Display for Diagnostic {
             }
             Self::StrangeRecord { title, record, error_percent } => write!(
                 f,
-                "{record}: {title} simulates it worse than zero would ({error_percent:.0} % of the energy left), but \
-                 not the data it was fitted to: are units, coil, delay and signs the same? Orders were judged by it too"
+                "{record}: {title} simulates it worse than zero would ({} of the energy left), but not the data it was \
+                 fitted to: are units, coil, delay and signs the same? Orders were judged by it too",
+                left_over(*error_percent)
             ),
             Self::Poor { title, error_percent, linear } => write!(
                 f,
-                "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: {}",
+                "{title}: {}its simulation leaves {} of the energy of the data it was fitted to: {}",
+                if *error_percent > 100.0 { "does not describe the data, " } else { "" },
+                left_over(*error_percent),
                 why_poor(*linear)
             ),
             Self::Together { coils, ratio } => write!(
@@ -391,6 +411,12 @@ impl fmt::Display for Diagnostic {
                 "{title}: no H(s) with a held input has this response, since a real pole of the discrete model is not \
                  positive; what is given is Tustin's approximation, for low frequencies only"
             ),
+            Self::DelayingZero { title, delay_s } => write!(
+                f,
+                "{title}: the zero of its H(s) acts like a delay of {:.1} ms, less than a sample: it may be that, and \
+                 none of the system's own",
+                delay_s * 1e3
+            ),
             Self::NotReduced { why } => write!(f, "there is no reduced model: {why}"),
             Self::FewerStates { asked, has: 1 } => {
                 write!(f, "reduced to order {asked}: the full model has only 1 state that matters, and it is kept")
@@ -436,5 +462,18 @@ impl fmt::Display for Diagnostic {
                 )
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_that_describes_nothing_is_not_given_a_number() {
+        let poor =
+            |error_percent| Diagnostic::Poor { title: "ARX".to_owned(), error_percent, linear: None }.to_string();
+        assert!(poor(1e12).starts_with("ARX: does not describe the data, its simulation leaves more than 1000 % of"));
+        assert!(poor(60.0).starts_with("ARX: its simulation leaves 60 % of the energy"));
     }
 }

@@ -8,7 +8,7 @@ use super::frozen::frozen;
 use super::identification::{Fit, Identification};
 use super::jump::jump;
 use super::model::{Orders, angle};
-use super::modelled::Role;
+use super::modelled::{ContinuousEstimate, Role};
 use super::nonlinear::nonlinear;
 use super::outliers;
 use super::residuals::{Residuals, too_many};
@@ -125,6 +125,9 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
     }
     if let Some((model, error)) = done.model(Role::Refined).zip(done.model_error) {
         diagnostics.push(Diagnostic::ModelError { title: model.title.clone(), error });
+    }
+    if let Some(model) = done.leading() {
+        diagnostics.extend(model.continuous.as_ref().and_then(|h| delaying_zero(&model.title, h, data.period_s)));
     }
     diagnostics.extend(of_periods(done));
     let refined = done.refined.as_ref().ok().map(|r| (Role::Refined, r));
@@ -280,6 +283,18 @@ fn against_torque(data: &Data, done: &Identification) -> Option<Diagnostic> {
     (phase_deg > 90.0).then_some(Diagnostic::AgainstTorque { title, phase_deg, frequency_hz })
 }
 
+/// Whether the numerator b₁ s + b₀ of H(s) has a zero that is known and acts like a delay −b₁ / b₀ of less than a sample.
+fn delaying_zero(title: &str, found: &ContinuousEstimate, period_s: f64) -> Option<Diagnostic> {
+    let [b1, b0] = found.model.num[..] else { return None };
+    let sd = found.standard_errors.as_ref()?.first()?;
+    let delay_s = -b1 / b0;
+    let told = found.model.conversion == Conversion::Hold
+        && delay_s > 0.0
+        && delay_s < period_s
+        && b1.abs() > SIGNIFICANT_SD * sd;
+    told.then(|| Diagnostic::DelayingZero { title: title.to_owned(), delay_s })
+}
+
 fn correlated(residuals: &Residuals, way: WayBack) -> Vec<Diagnostic> {
     let mut diagnostics = Vec::new();
     if too_many(residuals.auto_outside()) {
@@ -294,4 +309,25 @@ fn correlated(residuals: &Residuals, way: WayBack) -> Vec<Diagnostic> {
         diagnostics.push(Diagnostic::FedBack { outside: residuals.fed_back(), way });
     }
     diagnostics
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::continuous::Continuous;
+    use super::*;
+
+    #[test]
+    fn a_zero_that_acts_like_a_part_of_a_sample_is_told() {
+        let with = |b1: f64, sd: f64| {
+            let (num, den) = (vec![b1, 108.0], vec![1.0, 3.6, 36.0]);
+            let model = Continuous { num, den, delay_s: 0.0, conversion: Conversion::Hold };
+            let standard_errors = Some(vec![sd, 0.2, 0.01, 0.05]);
+            delaying_zero("refined", &ContinuousEstimate { model, standard_errors }, 1.0 / 60.0)
+        };
+        let told = with(-0.54, 0.03);
+        assert!(matches!(told, Some(Diagnostic::DelayingZero { delay_s, .. }) if (delay_s - 0.005).abs() < 1e-9));
+        assert_eq!(with(-0.54, 0.3), None);
+        assert_eq!(with(0.54, 0.03), None);
+        assert_eq!(with(-3.0, 0.03), None);
+    }
 }

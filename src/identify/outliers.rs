@@ -53,7 +53,9 @@ pub(super) fn outliers(model: &Polynomials, record: &Record, period_s: f64) -> O
         let left: Vec<f64> = segment.output.iter().zip(&modelled).map(|(y, m)| y - m).collect();
         let away = left.windows(3).map(|near| (near[1] - 0.5 * (near[0] + near[2])).abs()).collect::<Vec<_>>();
         let of = |k: usize| {
-            let (t, count) = (k + 1, 0);
+            // Beside two wrong values in a row a right one is as far from its neighbours' mean.
+            let farthest = (k..k + 3).max_by(|a, b| left[*a].abs().total_cmp(&left[*b].abs()))?;
+            let (t, count) = (farthest, 0);
             let (sample, time_s) = (segment.first + t, segment.start_s + t as f64 * period_s);
             // A wrong value spoils its neighbours' comparison as well.
             let is_worst =
@@ -120,6 +122,10 @@ mod tests {
         assert!(found.sample == 800 || found.sample == 1600, "{found:?}");
         assert_eq!(found.value, -999.0);
         assert_eq!(found.count, 2);
+        for length in 2..4 {
+            let (model, row) = record(|t, y| if (700..700 + length).contains(&t) { -9999.0 } else { y });
+            assert_eq!(outliers(&model, &row, 0.01).unwrap().value, -9999.0);
+        }
         let (model, many) = record(|t, y| if t % 50 == 7 { y + 0.5 } else { y });
         assert_eq!(outliers(&model, &many, 0.01).unwrap().count, 40);
     }
