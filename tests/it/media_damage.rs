@@ -120,7 +120,7 @@ fn without(packets: std::ops::Range<usize>, recording: &Path, to: &Path) {
             break;
         }
         packet.rescale_ts(from, stored);
-        decoded = packet.dts().map_or(decoded, |dts| dts.max(decoded.saturating_add(1)));
+        decoded = packet.dts().unwrap_or(decoded).max(decoded.saturating_add(1));
         packet.set_dts(Some(decoded));
         packet.set_position(-1);
         packet.set_stream(0);
