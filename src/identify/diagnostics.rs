@@ -283,7 +283,7 @@ fn against_torque(data: &Data, done: &Identification) -> Option<Diagnostic> {
     (phase_deg > 90.0).then_some(Diagnostic::AgainstTorque { title, phase_deg, frequency_hz })
 }
 
-/// Whether the numerator b₁ s + b₀ of H(s) has a zero that is known and acts like a delay −b₁ / b₀ of less than a sample.
+/// Whether the numerator b₁ s + b₀ of H(s) has a zero that is known and acts like a delay −b₁ / b₀ below a sample.
 fn delaying_zero(title: &str, found: &ContinuousEstimate, period_s: f64) -> Option<Diagnostic> {
     let [b1, b0] = found.model.num[..] else { return None };
     let sd = found.standard_errors.as_ref()?.first()?;

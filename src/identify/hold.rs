@@ -118,8 +118,8 @@ impl Held {
         self.time_s.first().copied().zip(self.time_s.last().copied())
     }
 
-    /// The usual time between commands, seconds, if nearly each brings another of many values: they may be a log that is
-    /// slower than what it logs.
+    /// The usual time between commands, seconds, if nearly each brings another of many values: they may be a log that
+    /// is slower than what it logs.
     pub(crate) fn logged_every_s(&self) -> Option<f64> {
         let pairs = || self.value.iter().zip(self.value.iter().skip(1));
         let changes = pairs().filter(|(a, b)| a != b).count();

@@ -50,6 +50,17 @@ pub enum Element {
     Friction(f64),
 }
 
+impl Element {
+    /// Whether it is large enough to be told.
+    fn is_large(&self) -> bool {
+        match self {
+            Self::Gain(change) => change.abs() > LEAST_CHANGE,
+            Self::Width(width) => *width > LEAST_WIDTH,
+            Self::Friction(part) => *part > LEAST_FRICTION,
+        }
+    }
+}
+
 /// What a record says.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nonlinear {
@@ -137,12 +148,7 @@ fn of_static_elements(model: &Polynomials, record: &Record) -> Option<Vec<Nonlin
         let gain = long.coefficient(&acting(amplitude)).map(|(g, sigmas)| (Element::Gain(g), sigmas));
         let width = |g: f64| Element::Width(2.0 * g.abs() / range.width);
         let width = long.coefficient(&acting(direction)).map(|(g, sigmas)| (width(g), sigmas));
-        let large = |element: &Element| match element {
-            Element::Gain(change) => change.abs() > LEAST_CHANGE,
-            Element::Width(width) => *width > LEAST_WIDTH,
-            Element::Friction(part) => *part > LEAST_FRICTION,
-        };
-        let found = [gain, width].into_iter().flatten().filter(move |(element, _)| large(element));
+        let found = [gain, width].into_iter().flatten().filter(|(element, _)| element.is_large());
         found.map(|(element, sigmas)| Nonlinear { of, element, sigmas })
     });
     Some(tests.collect())
@@ -174,8 +180,8 @@ fn friction(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
     let linear = Regression::of(left, (from, ORDER + PASSES * order + 1), of_sample)?;
     let against: Vec<Vec<f64>> = modelled.iter().map(|y| model.simulate(&directions(y))).collect();
     let (coefficient, sigmas) = linear.coefficient(&against)?;
-    let part = -coefficient / Range::of(&input).width;
-    (part > LEAST_FRICTION).then_some(Nonlinear { of: "input", element: Element::Friction(part), sigmas })
+    let element = Element::Friction(-coefficient / Range::of(&input).width);
+    element.is_large().then_some(Nonlinear { of: "input", element, sigmas })
 }
 
 /// The extent of a signal.

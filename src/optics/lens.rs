@@ -175,7 +175,18 @@ impl Lens {
     }
 }
 
+/// The corners of a picture, pixels.
+pub(crate) fn corners(size_px: [u32; 2]) -> [Point2<f64>; 4] {
+    let [right, bottom] = size_px.map(|size| f64::from(size) - 1.0);
+    [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)].map(|(x, y)| Point2::new(x, y))
+}
+
 impl Lens {
+    /// The first corner of a picture without a direction: there the distortion folds over inside it.
+    pub(crate) fn folded_corner(&self, size_px: [u32; 2]) -> Option<Point2<f64>> {
+        corners(size_px).into_iter().find(|corner| self.undistort(corner).is_none())
+    }
+
     /// Whether the radial part of a rational lens grows from the centre out to r².
     fn rational_grows(&self, r2: f64) -> bool {
         let [k1, k2, _, _, k3] = self.distortion;

@@ -17,6 +17,7 @@ mod solve;
 mod surface;
 mod triangulate;
 
+pub(crate) use lens::corners;
 pub use lens::{Lens, LensError};
 pub use no_ray::NoRay;
 pub use path::{OpticalPath, Projection, Tracing};

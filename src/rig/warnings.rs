@@ -197,8 +197,8 @@ impl fmt::Display for Warning {
             Self::UnusedSurface { surface } => write!(f, "surface {surface} is on no view's path"),
             Self::Focal { focal_px: [x, y], side_px } => write!(
                 f,
-                "focal lengths of {x} and {y} px for pictures of {side_px} px are those of no usual camera: are they in \
-                 pixels, and for pictures of this size?"
+                "focal lengths of {x} and {y} px for pictures of {side_px} px are those of no usual camera: are they \
+                 in pixels, and for pictures of this size?"
             ),
             Self::Oblong { focal_px: [x, y] } => write!(
                 f,
@@ -320,10 +320,8 @@ pub(crate) fn of_camera(camera: &Camera, whole: bool) -> Vec<Warning> {
     if distance_px > 0.1 * f64::from(size_px[0]) {
         found.push(Warning::PrincipalPoint { distance_px });
     }
-    let [right, bottom] = size_px.map(|size| f64::from(size - 1));
-    let corners = [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]];
-    let folds = corners.into_iter().find(|corner| lens.undistort(&Point2::from(*corner)).is_none());
-    found.extend(folds.filter(|_| whole).map(|corner_px| Warning::Folds { corner_px }));
+    let folds = lens.folded_corner(size_px).filter(|_| whole);
+    found.extend(folds.map(|corner| Warning::Folds { corner_px: corner.into() }));
     found
 }
 

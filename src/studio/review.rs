@@ -48,6 +48,8 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
     let theta = |pick: fn(&(f64, f64)) -> f64| -> Vec<Value> {
         run.rows.iter().map(|row| row.theta.as_ref().map_or(Value::Null, |t| short(pick(t).to_degrees()))).collect()
     };
+    // To the microsecond.
+    let to_us_s = |ns: i64| (ns.saturating_sub(first_ns) / 1000) as f64 / 1e6;
     let since_first_s = |ns: i64| seconds(ns.saturating_sub(first_ns));
     let alarm = |(ns, over_ns, what): &(i64, Option<i64>, String)| {
         let over_s = over_ns.map(since_first_s);
@@ -61,7 +63,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
         "markers": run.markers,
         "views": run.views,
         "first_s": seconds(first_ns),
-        "t_s": run.rows.iter().map(|row| json!((row.stamp_ns.saturating_sub(first_ns) / 1000) as f64 / 1e6)).collect::<Vec<_>>(),
+        "t_s": run.rows.iter().map(|row| json!(to_us_s(row.stamp_ns))).collect::<Vec<_>>(),
         "theta_deg": theta(|t| t.0),
         "sd_deg": theta(|t| t.1),
         "seq": run.rows.iter().map(|row| row.seq).collect::<Vec<_>>(),

@@ -11,6 +11,12 @@ const AROUND_PX: u32 = 16;
 /// The samples of a block, row after row.
 pub(crate) type Block = [u8; SIDE * SIDE];
 
+/// The sum of the differences of all samples, and that of their squares.
+pub(crate) fn differences(one: &Block, other: &Block) -> (i32, i32) {
+    let differences = one.iter().zip(other).map(|(a, b)| i32::from(*a) - i32::from(*b));
+    differences.fold((0, 0), |(sum, squares), d| (sum + d, squares + d * d))
+}
+
 /// Frames that are looked at.
 const FRAMES: u32 = 120;
 /// How many frames before is the earlier one that a block is compared with.

@@ -5,9 +5,9 @@
 //! sensor's noise changes every part of every picture. Compared: small blocks with contrast around the base band, which
 //! rests, from frame to frame. In a copy they repeat, or change by more than rounding, now this and now that: in 0.05
 //! to 0.27 of the comparisons both are as frequent, in copies of H.264 at crf 18 to 23. Without losses it is none, and
-//! 0.01 in simulated pictures without noise, which change by rounding alone where the tube hardly moves. A JPEG of little
-//! noise repeats by chance, too, but it comes back to what it was: four frames later it is as often the same, or another,
-//! as one frame later. What a coder has changed stays: four frames later it is another more often.
+//! 0.01 in simulated pictures without noise, which change by rounding alone where the tube hardly moves. A JPEG of
+//! little noise repeats by chance, too, but it comes back to what it was: four frames later it is as often the same, or
+//! another, as one frame later. What a coder has changed stays: four frames later it is another more often.
 //!
 //! What is lost is then assumed to be what is usual, as for a coder whose quantisation is unknown. JPEGs of a quality
 //! that loses more themselves keep their own.
@@ -16,7 +16,7 @@
 //! added later. A camera that reduces noise over time looks the same.
 
 use crate::source::{Picture, Quantisation};
-use crate::track::blocks::{Block, Compared};
+use crate::track::blocks::{Compared, differences};
 use std::collections::BTreeMap;
 
 /// Least contrast of a block that tells, stored units: JPEG makes flatter ones equal.
@@ -27,9 +27,9 @@ const LEAST: f64 = 200.0;
 const MIXED: f64 = 0.03;
 /// Least squares of a block's changes: a coder that corrects a block changes it by its step, and one of 4 stored units
 /// does no harm.
-const CHANGED: u32 = 16;
-/// How many times as often blocks are another after four frames as after one, counted by the rarer of both, at least, and
-/// by how many standard deviations. Measured: 1.55 to 3.7 in copies, 1.0 to 1.45 in JPEGs.
+const CHANGED: i32 = 16;
+/// How many times as often blocks are another after four frames as after one, counted by the rarer of both, at least,
+/// and by how many standard deviations. Measured: 1.55 to 3.7 in copies, 1.0 to 1.45 in JPEGs.
 const STAYS: f64 = 1.4;
 const CLEAR_SD: f64 = 3.0;
 
@@ -58,7 +58,7 @@ impl Count {
         }
     }
 
-    fn add([same, changed]: [&mut u32; 2], squares: u32) {
+    fn add([same, changed]: [&mut u32; 2], squares: i32) {
         match squares {
             0 => *same += 1,
             CHANGED.. => *changed += 1,
@@ -89,8 +89,8 @@ impl Copied {
                 continue;
             }
             let Count { same, changed, same_later, changed_later } = self.blocks.entry(*corner).or_default();
-            Count::add([same, changed], squares(now, before));
-            Count::add([same_later, changed_later], squares(now, earlier));
+            Count::add([same, changed], differences(now, before).1);
+            Count::add([same_later, changed_later], differences(now, earlier).1);
         }
         let sum = |of: &dyn Fn(&Count) -> u32| f64::from(self.blocks.values().map(of).sum::<u32>());
         let all = sum(&|block| block.same + block.changed);
@@ -101,11 +101,6 @@ impl Copied {
             self.from = Some(assumed);
         }
     }
-}
-
-/// Sum of the squares of all differences.
-fn squares(one: &Block, other: &Block) -> u32 {
-    one.iter().zip(other).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2)).sum()
 }
 
 #[cfg(test)]

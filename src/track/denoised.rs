@@ -1,10 +1,10 @@
 //! Notices noise reduction over time, as cameras have it ("3D noise reduction"): a picture takes over much of the one
 //! before wherever they hardly differ. Strong edges move at once, weak ones follow late, and bands with them.
 //!
-//! Method. A sensor's noise is another one in each picture; reduced over time it lasts. Compared are small blocks around
-//! the base band, which rests, each without its mean, as light flickers: with the picture before, and with the one four
-//! before. What lasts is one less the ratio of the squares of both differences. Beside the tube, which bends, more than
-//! noise changes slowly: so many blocks have to tell, and what counts is their lower quartile.
+//! Method. A sensor's noise is another one in each picture; reduced over time it lasts. Small blocks are compared
+//! around the base band, which rests, each without its mean, as light flickers: with the picture before, and with the
+//! one four before. What lasts is one less the ratio of the squares of both differences. Beside the tube, which bends,
+//! more than noise changes slowly: so many blocks have to tell, and what counts is their lower quartile.
 //!
 //! A weak difference is late by as many frames as a mean over time of such noise reaches back. But a band does not stay
 //! behind by more than a part of a pixel: then its edges are no weak difference any more.
@@ -14,7 +14,7 @@
 //! Cannot detect: noise reduction in pictures that were coded by a coder that predicts, which makes noise last too; in
 //! chroma alone (lag.rs); where a JPEG or the reduction itself leaves no noise.
 
-use crate::track::blocks::{Block, Compared, SIDE};
+use crate::track::blocks::{Block, Compared, SIDE, differences};
 use std::collections::BTreeMap;
 
 /// Fewest frames of a block that tell.
@@ -59,8 +59,7 @@ impl Noise {
 
 /// Squares of the differences about their mean.
 fn squares(one: &Block, other: &Block) -> f64 {
-    let differences = || one.iter().zip(other).map(|(a, b)| i32::from(*a) - i32::from(*b));
-    let (sum, squares) = differences().fold((0, 0), |(sum, squares), d| (sum + d, squares + d * d));
+    let (sum, squares) = differences(one, other);
     f64::from(squares) - f64::from(sum).powi(2) / one.len() as f64
 }
 

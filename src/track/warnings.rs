@@ -15,9 +15,9 @@ pub(super) const OUT_OF_FOCUS: &str = "the pictures, or those of one view, are c
 pub(super) const BLENDED: &str = "what moves is blurred by more than any exposure explains: earlier pictures were \
      blended into these (noise reduction over time, conversion of the frame rate), so bands are measured too late; σ \
      is widened by as much: record without it";
-pub(super) const DENOISED: &str = "the noise of these pictures lasts from one to the next: it was reduced over time, or they \
-     are a copy of a compressed video, so weak edges of what moves are shown late; σ is widened by what is usual, up to a \
-     quarter of a pixel: record without noise reduction";
+pub(super) const DENOISED: &str = "the noise of these pictures lasts from one to the next: it was reduced over time, \
+     or they are a copy of a compressed video, so weak edges of what moves are shown late; σ is widened by what is \
+     usual, up to a quarter of a pixel: record without noise reduction";
 pub(super) const WOVEN: &str = "even and odd rows of the pictures show different moments, although they are not marked \
      as interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
      trusted: record progressive frames";

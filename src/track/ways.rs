@@ -38,18 +38,19 @@ impl Ways {
         Self { markers: vec![None; markers], tangent: None }
     }
 
-    /// Adds a frame. `late` is how late a position is shown that moved so many metres, in frames; the tangent is as late
-    /// as the coil.
+    /// Adds a frame. `late` is how late a position is shown that moved so many metres, in frames; the tangent is as
+    /// late as the coil, or as what rests where the coil has no position.
     pub(crate) fn widen(&mut self, estimate: &mut Estimate, coil: usize, late: impl Fn(f64) -> f64) {
         let stamp = estimate.stamp;
-        let mut of_coil = 0.0;
+        let mut of_coil = late(0.0);
         for (m, (marker, last)) in estimate.markers.iter_mut().zip(&mut self.markers).enumerate() {
             if let Ok(position) = &mut marker.position {
                 let way = moved(last, stamp, position.point.coords);
-                let behind = way * late(way.norm());
+                let frames = late(way.norm());
+                let behind = way * frames;
                 position.covariance += behind * behind.transpose();
                 if m == coil {
-                    of_coil = late(way.norm());
+                    of_coil = frames;
                 }
             }
         }

@@ -5,7 +5,7 @@
 use super::CameraCalibration;
 use super::models::Model;
 use crate::calibrate::least_squares::sigmas;
-use crate::optics::Lens;
+use crate::optics::{Lens, corners};
 use crate::whitening::chi_square;
 use nalgebra::{DVector, Point2, Vector2};
 
@@ -129,10 +129,8 @@ pub enum CameraDiagnostic {
 /// Those that follow from the result itself; `places`: the board's corners, with the centre at the origin.
 pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>]) -> Vec<CameraDiagnostic> {
     let mut all = Vec::new();
-    let [right, bottom] = done.size_px.map(|size| f64::from(size) - 1.0);
-    let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)].map(|(x, y)| Point2::new(x, y));
     let away = |pixel: &Point2<f64>| (pixel - done.lens.principal_point_px).norm();
-    let furthest = corners.iter().map(away).fold(0.0, f64::max);
+    let furthest = corners(done.size_px).iter().map(away).fold(0.0, f64::max);
     let reached = done.used.iter().flat_map(|p| &p.corners).map(|(pixel, _)| away(pixel)).fold(0.0, f64::max);
     if reached < MIN_REACH * furthest {
         all.push(CameraDiagnostic::Reach {
@@ -141,7 +139,7 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
             k3_sd: done.covariance[(8, 8)].sqrt(),
         });
     }
-    if let Some(corner) = corners.iter().find(|corner| done.lens.undistort(corner).is_none()) {
+    if let Some(corner) = done.lens.folded_corner(done.size_px) {
         all.push(CameraDiagnostic::Folds { x: corner.x, y: corner.y });
     }
     let (ratio, sd) = aspect(done);

@@ -330,9 +330,9 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     };
     if let Some(others) = apparent.as_ref().and_then(Delay::others_in_words) {
         tracing::warn!(
-            "{name}: delays of the output by {others} would explain the record about as well, and the right one may lie \
-             in between: whether the times of the commands are right cannot be told (does the output move only in a \
-             narrow band of frequencies, or are commands missing?)"
+            "{name}: delays of the output by {others} would explain the record about as well, and the right one may \
+             lie in between: whether the times of the commands are right cannot be told (does the output move only in \
+             a narrow band of frequencies, or are commands missing?)"
         );
     }
     let told = apparent.as_ref().filter(|delay| delay.others_s.is_empty());

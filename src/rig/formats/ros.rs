@@ -32,8 +32,7 @@ fn of_whole_pictures(root: &Node<'_>, size_px: [u32; 2]) -> Result<(), RigError>
             && binning.number()? > 1.0
         {
             return Err(binning.wrong(
-                "0 or 1: the matrix is that of pictures without binning; calibrate with those \
-                                      that you record",
+                "0 or 1: the matrix is that of pictures without binning; calibrate with those that you record",
             ));
         }
     }
