@@ -18,6 +18,7 @@ use crate::sink::{Sink, SinkError};
 use crate::source::{CurrentSample, Frame, FrameSource, SourceError, StreamFaults, Timestamp};
 use crate::tally::{Tally, Totals, missing};
 use crate::track::{TrackError, Tracker};
+use rayon::prelude::*;
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -26,7 +27,7 @@ use std::time::{Duration, Instant};
 use tracing::Span;
 
 /// Frames that may wait between two threads.
-const QUEUE_LENGTH: usize = 4;
+const QUEUE_LENGTH: usize = 2;
 
 /// Most pictures in memory, besides those that the decoder keeps: two full channels, and one frame in each of the three
 /// threads.
@@ -224,14 +225,16 @@ fn each_working(
     failures
 }
 
-/// Finishes all sinks with the count of the run; returns why some failed.
+/// Finishes all sinks with the count of the run, side by side: each writes its own files and waits for the disk. Returns
+/// why some failed.
 pub(crate) fn finish_all(sinks: Vec<OpenSink>, tally: &Tally) -> Vec<SinkError> {
-    let finish = |(mut sink, works): OpenSink| match sink.finish(tally) {
+    let span = Span::current();
+    let finish = |(mut sink, works): OpenSink| match span.in_scope(|| sink.finish(tally)) {
         Err(error) if works => Some(error),
         // An error of a failed sink at its end repeats the first, or follows from it.
         _ => None,
     };
-    sinks.into_iter().filter_map(finish).collect()
+    sinks.into_par_iter().with_max_len(1).filter_map(finish).collect()
 }
 
 /// What a joined thread returned; a panic is resumed in this thread.

@@ -5,6 +5,7 @@
 //! states steps of a half to a sixth of what the block was coded with.)
 
 use super::{Picture, Plane, Quantisation};
+use std::ops::Range;
 
 /// Remembers the last picture.
 #[derive(Default)]
@@ -48,19 +49,33 @@ fn compare([now, before]: [&Plane<'_>; 2], quantisation: &Quantisation, coded: &
     for (j, coded) in coded.chunks_mut(columns).enumerate() {
         for y in compared(height).step_by(APART) {
             let [Some(now), Some(before)] = [now, before].map(|plane| plane.row(j * height + y)) else { continue };
-            let samples = now.chunks(block).zip(before.chunks(block));
-            for (coded, (now, before)) in coded.iter_mut().zip(samples).filter(|(coded, _)| !**coded) {
-                // The picture may end within a block.
-                let inner = inner.start..inner.end.min(now.len());
-                *coded = now.get(inner.clone()) != before.get(inner);
+            // A compiler that knows the lengths compares in half the time.
+            match (block, &inner) {
+                (16, Range { start: 3, end: 13 }) => compare_row([now, before], 16, 3..13, coded),
+                (8, Range { start: 1, end: 7 }) => compare_row([now, before], 8, 1..7, coded),
+                _ => compare_row([now, before], block, inner.clone(), coded),
             }
         }
     }
 }
 
+#[inline(always)]
+fn compare_row([now, before]: [&[u8]; 2], block: usize, inner: Range<usize>, coded: &mut [bool]) {
+    let (now, before) = (now.chunks_exact(block), before.chunks_exact(block));
+    // The picture may end within a block.
+    let [end, end_before] = [now.remainder(), before.remainder()];
+    let part = inner.start..inner.end.min(end.len());
+    if let Some(coded) = coded.get_mut(now.len()) {
+        *coded |= end.get(part.clone()) != end_before.get(part);
+    }
+    for (coded, (now, before)) in coded.iter_mut().zip(now.zip(before)) {
+        *coded |= now.get(inner.clone()) != before.get(inner.clone());
+    }
+}
+
 /// The samples of a block's side that are compared: smoothing of the blocks' edges changes the others in skipped blocks
 /// too.
-fn compared(side: usize) -> std::ops::Range<usize> {
+fn compared(side: usize) -> Range<usize> {
     let smoothed = if side >= 16 { 3 } else { 1 };
     smoothed..side.saturating_sub(smoothed)
 }
