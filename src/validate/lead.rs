@@ -13,12 +13,18 @@ pub(super) fn note(run: &Run) -> Option<String> {
     // The phase of another motion means nothing.
     run.lag.filter(|lag| lag.correlation >= WEAK_CORRELATION)?;
     let phase_deg = run.phase_deg?;
-    let sd_deg = run.response_sd.unwrap_or(0.0).to_degrees();
-    (phase_deg > LEAST_DEG.max(SIGNIFICANT_SD * sd_deg)).then(|| {
+    let sd_deg = run.response_sd.map(f64::to_degrees);
+    (phase_deg > LEAST_DEG && sd_deg.is_none_or(|sd_deg| phase_deg > SIGNIFICANT_SD * sd_deg)).then(|| {
         format!(
-            "the motion leads the commands by {phase_deg:.2} ± {sd_deg:.2}°, which no catheter does: is the start of \
-             the commands late (--start), or is the base frame or the coil turned about the path's axis? All phases \
-             are wrong by that"
+            "the motion leads the commands by {phase_deg:.2}°{}, which no catheter does: is the start of the commands \
+             late (--start), or is the base frame or the coil turned about the path's axis? All phases are wrong by \
+             that",
+            degrees_of_sd(sd_deg)
         )
     })
+}
+
+/// What follows an angle in a note: its σ, or that there is none.
+pub(super) fn degrees_of_sd(sd_deg: Option<f64>) -> String {
+    sd_deg.map_or_else(|| " (σ is not known)".to_owned(), |sd_deg| format!(" ± {sd_deg:.2}°"))
 }

@@ -10,9 +10,11 @@
 //! step, that a clock jumped or commands were lost; a middle that moves, that the base frame or the camera did. Results
 //! of all periods together do not show any of this.
 //!
-//! What it cannot detect: an error that is the same in all periods, and a step by whole periods.
+//! What it cannot detect: an error that is the same in all periods, and a step by whole periods. Nor, where the tracker
+//! gives no σ, whether a change is more than noise: the notes then say so.
 
 use super::lag::{lag, unwrap};
+use super::lead::degrees_of_sd;
 use super::path::DesiredPath;
 use super::pauses::Mean;
 use nalgebra::{Point3, Vector3};
@@ -35,8 +37,8 @@ struct Period {
     number: usize,
     /// From the mean period.
     phase_deg: f64,
-    /// σ of a coordinate of its mean by the tracker's own noise, metres.
-    sd_m: f64,
+    /// σ of a coordinate of its mean by the tracker's own noise, metres, where that is known.
+    sd_m: Option<f64>,
     /// Root mean square distance of its points from their mean, metres.
     size_m: f64,
     /// Its points minus those of the same commands in the mean period, on average, metres.
@@ -45,8 +47,8 @@ struct Period {
 
 impl Period {
     /// σ of its phase: errors across the radius, as for the whole run.
-    fn phase_sd_deg(&self) -> f64 {
-        (self.sd_m / self.size_m).to_degrees()
+    fn phase_sd_deg(&self) -> Option<f64> {
+        self.sd_m.map(|sd_m| (sd_m / self.size_m).to_degrees())
     }
 }
 
@@ -57,22 +59,32 @@ pub(crate) struct Change {
     between: (usize, usize),
     /// By how much: degrees or metres.
     pub by: f64,
-    /// Its σ by the tracker's own noise.
-    sd: f64,
+    /// Its σ by the tracker's own noise, where that is known.
+    sd: Option<f64>,
 }
 
 impl Change {
+    /// Whether it is worth a note: without σ by its size alone.
     fn exceeds(&self, least: f64) -> bool {
-        self.by.abs() > least && self.by.abs() > NOISE * self.sd
+        self.by.abs() > least && self.sd.is_none_or(|sd| self.by.abs() > NOISE * sd)
     }
 }
 
 /// Comparison of the periods of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Periods {
+    /// What changes from one to another; `None` with fewer than two that move.
+    pub changes: Option<Changes>,
+    /// Numbers of periods without motion.
+    still: Vec<usize>,
+}
+
+/// What changes from period to period.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Changes {
     /// Change of the phase over one period, by a line through the phases of all periods, and its σ, degrees.
     pub drift_deg: f64,
-    pub drift_sd_deg: f64,
+    pub drift_sd_deg: Option<f64>,
     /// The same from the first period to the last.
     whole: Change,
     /// Largest change of the phase from one period to the next, degrees.
@@ -81,13 +93,11 @@ pub(crate) struct Periods {
     pub shift: Change,
     /// Root mean square distance of the points of a period from their mean, on average, metres.
     size_m: f64,
-    /// Numbers of periods without motion.
-    still: Vec<usize>,
 }
 
 impl Periods {
     /// From the points of the commands that count, which begin with a period. `sd_m`: the tracker's σ of a coordinate;
-    /// `frames`: camera frames per period. `None` for fewer than two periods, or too few frames.
+    /// `frames`: camera frames per period. `None` for too few frames.
     pub(super) fn of(
         path: &DesiredPath,
         means: &[Option<Mean>],
@@ -99,49 +109,23 @@ impl Periods {
         if frames < FEWEST_FRAMES {
             return None;
         }
+        // A σ of 0 says nothing.
+        let sd_m = sd_m.filter(|sd_m| *sd_m > 0.0);
         let usual = mean_period(means, length);
         let periods = means.chunks_exact(length).enumerate();
-        let all: Vec<Period> = periods
-            .filter_map(|(at, means)| period(&usual, (skipped + at + 1, means), sd_m.unwrap_or(0.0), frames))
-            .collect();
+        let all: Vec<Period> =
+            periods.filter_map(|(at, means)| period(&usual, (skipped + at + 1, means), sd_m, frames)).collect();
         let largest_m = all.iter().map(|period| period.size_m).fold(0.0, f64::max);
-        let (mut moving, still): (Vec<Period>, Vec<Period>) =
+        let (moving, still): (Vec<Period>, Vec<Period>) =
             all.into_iter().partition(|period| period.size_m >= STILL * largest_m);
-        let mut phases: Vec<Option<f64>> = moving.iter().map(|period| Some(period.phase_deg)).collect();
-        unwrap(&mut phases);
-        for (period, phase) in moving.iter_mut().zip(phases.into_iter().flatten()) {
-            period.phase_deg = phase;
-        }
-        let (first, last) = (moving.first()?, moving.last()?);
-        let (drift_deg, drift_sd_deg) = line(&moving)?;
-        let span = (last.number - first.number) as f64;
-        let whole = Change { between: (first.number, last.number), by: drift_deg * span, sd: drift_sd_deg * span };
-        let step = moving.iter().zip(moving.iter().skip(1)).map(|(a, b)| Change {
-            between: (a.number, b.number),
-            by: b.phase_deg - a.phase_deg,
-            sd: a.phase_sd_deg().hypot(b.phase_sd_deg()),
-        });
-        let pairs = moving.iter().enumerate().flat_map(|(k, b)| moving.iter().take(k).map(move |a| (a, b)));
-        let shift = pairs.map(|(a, b)| Change {
-            between: (a.number, b.number),
-            by: (b.offset_m - a.offset_m).norm(),
-            // Three coordinates.
-            sd: a.sd_m.hypot(b.sd_m) * 3_f64.sqrt(),
-        });
-        Some(Self {
-            drift_deg,
-            drift_sd_deg,
-            whole,
-            step: step.max_by(|a, b| a.by.abs().total_cmp(&b.by.abs()))?,
-            shift: shift.max_by(|a, b| a.by.total_cmp(&b.by))?,
-            size_m: moving.iter().map(|period| period.size_m).sum::<f64>() / moving.len() as f64,
-            still: still.iter().map(|period| period.number).collect(),
-        })
+        Some(Self { changes: Changes::of(moving), still: still.iter().map(|period| period.number).collect() })
     }
 
     /// Notes about what is not alike, for commands held for `pause_s`.
     pub(super) fn notes(&self, pause_s: f64) -> Vec<String> {
-        [self.still_note(), self.phase_note(pause_s), self.shift_note()].into_iter().flatten().collect()
+        let changes = self.changes.as_ref();
+        let phase = changes.and_then(|changes| changes.phase_note(pause_s));
+        [self.still_note(), phase, changes.and_then(Changes::shift_note)].into_iter().flatten().collect()
     }
 
     fn still_note(&self) -> Option<String> {
@@ -151,6 +135,45 @@ impl Periods {
                 "the marker hardly moves in period {}: check --periods, --pause and the start of the commands",
                 numbers.join(", ")
             )
+        })
+    }
+}
+
+impl Changes {
+    fn of(mut moving: Vec<Period>) -> Option<Self> {
+        let mut phases: Vec<Option<f64>> = moving.iter().map(|period| Some(period.phase_deg)).collect();
+        unwrap(&mut phases);
+        for (period, phase) in moving.iter_mut().zip(phases.into_iter().flatten()) {
+            period.phase_deg = phase;
+        }
+        let (first, last) = (moving.first()?, moving.last()?);
+        let (drift_deg, drift_sd_deg) = line(&moving)?;
+        let span = (last.number - first.number) as f64;
+        let whole = Change {
+            between: (first.number, last.number),
+            by: drift_deg * span,
+            sd: drift_sd_deg.map(|sd_deg| sd_deg * span),
+        };
+        let both = |a: Option<f64>, b: Option<f64>| Some(a?.hypot(b?));
+        let step = moving.iter().zip(moving.iter().skip(1)).map(|(a, b)| Change {
+            between: (a.number, b.number),
+            by: b.phase_deg - a.phase_deg,
+            sd: both(a.phase_sd_deg(), b.phase_sd_deg()),
+        });
+        let pairs = moving.iter().enumerate().flat_map(|(k, b)| moving.iter().take(k).map(move |a| (a, b)));
+        let shift = pairs.map(|(a, b)| Change {
+            between: (a.number, b.number),
+            by: (b.offset_m - a.offset_m).norm(),
+            // Three coordinates.
+            sd: both(a.sd_m, b.sd_m).map(|sd_m| sd_m * 3_f64.sqrt()),
+        });
+        Some(Self {
+            drift_deg,
+            drift_sd_deg,
+            whole,
+            step: step.max_by(|a, b| a.by.abs().total_cmp(&b.by.abs()))?,
+            shift: shift.max_by(|a, b| a.by.total_cmp(&b.by))?,
+            size_m: moving.iter().map(|period| period.size_m).sum::<f64>() / moving.len() as f64,
         })
     }
 
@@ -163,22 +186,24 @@ impl Periods {
         // A phase that falls by 360° per period belongs to commands that take twice as long.
         let held_ms = pause_s * (1.0 - self.drift_deg / 360.0) * 1e3;
         Some(format!(
-            "the phase is not the same in all periods: from period {first} to {last} it changes by {:+.2}° ± {:.2}° \
-             per period, at most by {by:+.1}° (from period {before} to {after}). If evenly, commands were held for \
+            "the phase is not the same in all periods: from period {first} to {last} it changes by {:+.2}°{} per \
+             period, at most by {by:+.1}° (from period {before} to {after}). If evenly, commands were held for \
              {held_ms:.4} ms of the camera's clock, not {:.4} ms: check --pause and the clocks. If at once, a clock \
              jumped or commands were lost. If less and less, leave out more periods with --skip",
             self.drift_deg,
-            self.drift_sd_deg,
+            degrees_of_sd(self.drift_sd_deg),
             pause_s * 1e3
         ))
     }
 
     fn shift_note(&self) -> Option<String> {
-        let Change { between: (before, after), by, .. } = self.shift;
+        let Change { between: (before, after), by, sd } = self.shift;
+        let unknown = if sd.is_none() { " (σ is not known)" } else { "" };
         self.shift.exceeds(SAME_PLACE * self.size_m).then(|| {
             format!(
-                "the middle of the motion is {:.2} mm away in period {after} from where it is in period {before}: \
-                 camera, base or catheter were moved, or the motion has not settled; errors and magnitude contain it",
+                "the middle of the motion is {:.2} mm{unknown} away in period {after} from where it is in period \
+                 {before}: camera, base or catheter were moved, or the motion has not settled; errors and magnitude \
+                 contain it",
                 by * 1e3
             )
         })
@@ -201,7 +226,12 @@ fn mean_period(means: &[Option<Mean>], length: usize) -> Vec<Point3<f64>> {
 }
 
 /// One period; `None` if more than half of its points are missing.
-fn period(usual: &[Point3<f64>], (number, means): (usize, &[Option<Mean>]), sd_m: f64, frames: f64) -> Option<Period> {
+fn period(
+    usual: &[Point3<f64>],
+    (number, means): (usize, &[Option<Mean>]),
+    sd_m: Option<f64>,
+    frames: f64,
+) -> Option<Period> {
     let length = usual.len();
     let there = || means.iter().enumerate().filter_map(|(k, mean)| Some((k, mean.as_ref()?)));
     let points: Vec<(usize, Point3<f64>)> = there().map(|(k, mean)| (k, Point3::from(mean.value))).collect();
@@ -216,21 +246,21 @@ fn period(usual: &[Point3<f64>], (number, means): (usize, &[Option<Mean>]), sd_m
     Some(Period {
         number,
         phase_deg: -360.0 * (lag + later) / length as f64,
-        sd_m: sd_m / (frames * count / length as f64).sqrt(),
+        sd_m: sd_m.map(|sd_m| sd_m / (frames * count / length as f64).sqrt()),
         size_m: (there().map(|(_, mean)| (mean.value - middle).norm_squared()).sum::<f64>() / count).sqrt(),
         offset_m: there().filter_map(|(k, mean)| Some(mean.value - usual.get(k)?.coords)).sum::<Vector3<f64>>() / count,
     })
 }
 
-/// Slope of a line through the phases over the periods' numbers, and its σ, degrees per period; periods count by the
-/// number of their frames. `None` for fewer than two.
-fn line(periods: &[Period]) -> Option<(f64, f64)> {
-    let known = periods.iter().all(|period| period.sd_m > 0.0);
-    let weight = |period: &Period| if known { period.phase_sd_deg().powi(-2) } else { 1.0 };
+/// Slope of a line through the phases over the periods' numbers, and its σ where that is known, degrees per period;
+/// periods then count by the number of their frames, otherwise equally. `None` for fewer than two.
+fn line(periods: &[Period]) -> Option<(f64, Option<f64>)> {
+    let known = periods.iter().all(|period| period.sd_m.is_some());
+    let weight = |period: &Period| period.phase_sd_deg().map_or(1.0, |sd_deg| sd_deg.powi(-2));
     let sum = |of: &dyn Fn(&Period) -> f64| periods.iter().map(|period| weight(period) * of(period)).sum::<f64>();
     let all = sum(&|_| 1.0);
     let (number, phase) = (sum(&|p| p.number as f64) / all, sum(&|p| p.phase_deg) / all);
     let spread = sum(&|p| (p.number as f64 - number).powi(2));
     let slope = sum(&|p| (p.number as f64 - number) * (p.phase_deg - phase)) / spread;
-    slope.is_finite().then(|| (slope, if known { spread.sqrt().recip() } else { 0.0 }))
+    slope.is_finite().then(|| (slope, known.then(|| spread.sqrt().recip())))
 }

@@ -112,7 +112,7 @@ pub(crate) struct Run {
     pub phase_deg: Option<f64>,
     /// How far the motion still is from a periodic one; `None` with fewer than two periods.
     pub settling: Option<Settling>,
-    /// Whether all periods are alike; `None` with fewer than two periods, or with too few frames.
+    /// Whether all periods are alike; `None` with too few frames.
     pub periods: Option<Periods>,
     /// Root mean square angle between observed and desired direction of the coil, radians, where the path has
     /// directions.

@@ -22,8 +22,8 @@ pub(crate) struct Settling {
     pub change_m: f64,
     /// Root mean square distance of the last period's points from their mean, metres.
     pub size_m: f64,
-    /// Root mean square distance expected from the tracker's noise alone, metres.
-    pub noise_m: f64,
+    /// Root mean square distance expected from the tracker's noise alone, metres, where that is known.
+    pub noise_m: Option<f64>,
     /// Magnitude of the last period alone, dB, where the path is a circle.
     pub last_db: Option<f64>,
 }
@@ -51,23 +51,25 @@ impl Settling {
             change_m: (sum / f64::from(count as u32)).sqrt(),
             size_m: (square / points.len() as f64).sqrt(),
             // Three coordinates of two points.
-            noise_m: sd_m.unwrap_or(0.0) * 6_f64.sqrt(),
+            noise_m: sd_m.map(|sd_m| sd_m * 6_f64.sqrt()),
             last_db,
         })
     }
 
     /// Whether the motion still changes from period to period.
     pub(crate) fn is_unsettled(&self) -> bool {
-        self.change_m > SETTLED_FRACTION * self.size_m && self.change_m > NOISE * self.noise_m
+        self.change_m > SETTLED_FRACTION * self.size_m
+            && self.noise_m.is_none_or(|noise_m| self.change_m > NOISE * noise_m)
     }
 
     /// A note about it.
     pub(super) fn note(&self) -> Option<String> {
+        let unknown = if self.noise_m.is_none() { " (σ is not known)" } else { "" };
         let last = self.last_db.map_or(String::new(), |db| format!(" (the last period alone has {db:.1} dB)"));
         self.is_unsettled().then(|| {
             format!(
                 "the motion has not become periodic: from one period to the next it still changes by {:.0} % of its \
-                 size, so its magnitude is not that of the steady response{last}; command more periods and leave out \
+                 size{unknown}, so its magnitude is not that of the steady response{last}; command more periods and leave out \
                  more with --skip",
                 100.0 * self.change_m / self.size_m
             )

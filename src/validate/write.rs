@@ -20,7 +20,7 @@ pub(crate) struct Row {
     pub frequency_hz: f64,
     /// Camera time of the first command, and how it is known.
     pub start_s: f64,
-    /// `given`, `currents`, `ticks` or `search`.
+    /// `given`, `ticks`, `currents` or `search`.
     pub start_from: &'static str,
     /// `averaged` or `interpolated`.
     pub points_are: &'static str,
@@ -111,7 +111,7 @@ impl Row {
         let pairs: Vec<_> = run.steps.iter().filter_map(|s| Some(s.desired - s.observed?)).collect();
         let offset = pairs.iter().sum::<nalgebra::Vector3<f64>>() / pairs.len().max(1) as f64;
         let mm = |m: f64| m * MM_PER_M;
-        let periods = run.periods.as_ref();
+        let changes = run.periods.as_ref().and_then(|periods| periods.changes);
         Self {
             file: run.file.display().to_string(),
             marker: run.marker.clone(),
@@ -151,10 +151,10 @@ impl Row {
             correlation: run.lag.map(|lag| lag.correlation).or(run.start_correlation),
             period_change: run.settling.map(|settling| settling.change_m / settling.size_m),
             last_period_db: run.settling.and_then(|settling| settling.last_db),
-            phase_drift_deg: periods.map(|periods| periods.drift_deg),
-            phase_drift_sd_deg: periods.map(|periods| periods.drift_sd_deg),
-            phase_step_deg: periods.map(|periods| periods.step.by),
-            shift_mm: periods.map(|periods| mm(periods.shift.by)),
+            phase_drift_deg: changes.map(|changes| changes.drift_deg),
+            phase_drift_sd_deg: changes.and_then(|changes| changes.drift_sd_deg),
+            phase_step_deg: changes.map(|changes| changes.step.by),
+            shift_mm: changes.map(|changes| mm(changes.shift.by)),
             tangent_rms_deg: run.tangent_rms_rad.map(f64::to_degrees),
             scatter_mm: run.scatter_m.map(mm),
             sd_mm: run.sd_m.map(mm),

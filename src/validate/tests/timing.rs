@@ -74,6 +74,46 @@ fn a_timing_that_drifts_is_told_with_the_pause_that_explains_it() {
     assert!(notes.contains("(from period 2 to 3)"), "{notes}");
 }
 
+/// Two periods are commanded where four are asked for: of the three that count, one moves.
+#[test]
+fn periods_without_motion_are_told_where_a_single_one_moves() {
+    let mut rests = simulate(circle, 0.01, CORNER_HZ, NOISY);
+    let end_ns = START_NS + 4_000_000_000;
+    let last = rests.frames.iter().rfind(|frame| frame.stamp_ns < end_ns).unwrap().clone();
+    for frame in rests.frames.iter_mut().filter(|frame| frame.stamp_ns >= end_ns) {
+        frame.places.clone_from(&last.places);
+    }
+    let (row, notes) = noted(&rests, desired(circle), 0.01);
+    assert!(notes.contains("hardly moves in period 3, 4: check --periods"), "{notes}");
+    assert_eq!((row.phase_drift_deg, row.phase_step_deg, row.shift_mm), (None, None, None));
+}
+
+/// Tables without σ of the places: nothing is called certain.
+#[test]
+fn an_unknown_sigma_is_no_sigma_of_0() {
+    let without = |mut recording: Recording| {
+        recording.frames.iter_mut().flat_map(|frame| &mut frame.places).for_each(|place| place.sd_m = None);
+        recording
+    };
+    let (row, notes) = noted(&without(simulate(circle, 0.01, CORNER_HZ, NOISY)), desired(circle), 0.01);
+    assert!(notes.is_empty() && row.phase_drift_deg.is_some(), "{notes}");
+    assert_eq!((row.phase_drift_sd_deg, row.phase_sd_deg, row.magnitude_sd_db), (None, None, None));
+    // The amplifier holds commands 0.3 % longer, and the middle moves.
+    let mut spoiled = without(simulate(circle, 0.01 * 1.003, CORNER_HZ, NOISY));
+    for frame in spoiled.frames.iter_mut().filter(|frame| frame.stamp_ns > START_NS + 4_000_000_000) {
+        frame.places.iter_mut().filter_map(|place| place.point.as_mut()).for_each(|point| point.y += 0.005);
+    }
+    let (_, notes) = noted(&spoiled, desired(circle), 0.01);
+    assert!(notes.contains("° (σ is not known) per period") && notes.contains("mm (σ is not known) away"), "{notes}");
+    let observed = [Observed {
+        recording: &without(simulate(circle, 0.02, 50.0, NOISY)),
+        pause_s: 0.02,
+        start_ns: Some(START_NS + 60_000_000),
+    }];
+    let run = validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0);
+    assert!(run.notes.iter().any(|note| note.contains("leads the commands by 5.") && note.contains("° (σ is not")));
+}
+
 #[test]
 fn a_middle_that_moves_is_told() {
     let mut moved = simulate(circle, 0.01, CORNER_HZ, NOISY);
