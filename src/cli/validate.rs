@@ -26,7 +26,7 @@ pub(crate) struct Args {
     /// How long each point was commanded, one for each run, in their order
     #[arg(long, value_name = "T", required = true, value_delimiter = ',', value_parser = duration_s)]
     pause: Vec<f64>,
-    /// Camera time of the first command, s [default: a current's first change, else searched]
+    /// Camera time of the first command, s [default: by ticks, else currents, else searched]
     #[arg(long, value_name = "T", value_delimiter = ',', value_parser = seconds_ns, allow_hyphen_values = true)]
     start: Vec<i64>,
     /// How many times the path was commanded [default: 4, or as often as it is in the file]
