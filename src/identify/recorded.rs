@@ -247,6 +247,20 @@ mod tests {
         assert!((late.drive[1].unwrap() - 3.0).abs() < 1e-9);
     }
 
+    /// In whole milliseconds 40 frames of 60 Hz are 39 of the median, 17 ms.
+    #[test]
+    fn a_long_hole_has_as_many_places_as_frames_were_lost() {
+        let stamps: Vec<i64> = (0..300)
+            .filter(|k| !(100..139).contains(k))
+            .map(|k| (f64::from(k) * 1000.0 / 60.0).round() as i64)
+            .collect();
+        let observed = Observed::of(&recording(&stamps, |_| Some(0.0))).unwrap();
+        let held = observed.commands("c", &[command(0, 1.0)], 1).unwrap();
+        let series = observed.series(&held, None, 0.0).unwrap();
+        assert_eq!(series.output.len(), 300);
+        assert!(series.output[100..139].iter().all(Option::is_none) && series.output[139].is_some());
+    }
+
     #[test]
     fn what_cannot_be_used_is_explained() {
         let never = Observed::of(&recording(&[0, 10], |_| None)).unwrap_err().to_string();
