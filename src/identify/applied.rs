@@ -55,7 +55,12 @@ pub(crate) fn apply(
     for model in &saved.models {
         match model.at(data.period_s) {
             Ok(samples) => {
-                let modelled = Modelled::new(model.role, model.title.clone(), samples, None, data.period_s, excited_hz);
+                let mut modelled =
+                    Modelled::new(model.role, model.title.clone(), samples, None, data.period_s, excited_hz);
+                // With a part of a sample of delay there is no exact way back from the samples.
+                if let (Some(estimate), Some(h)) = (&mut modelled.continuous, model.continuous()) {
+                    estimate.model = h.clone();
+                }
                 if !modelled.is_stable() {
                     notes.push(format!(
                         "{}: unstable, its largest pole is {:.5}; simulations with it run away",
@@ -119,6 +124,23 @@ mod tests {
             let h: &Continuous = &applied.leading().unwrap().continuous.as_ref().unwrap().model;
             assert!((h.response(1.0) - saved.models[0].response(1.0).unwrap()).norm() < 1e-6);
         }
+    }
+
+    #[test]
+    fn a_delay_between_samples_is_simulated_and_h_stays_that_of_the_file() {
+        let saved = Saved::parse("num = [3, 8]\nden = [1, 4, 20]\ndelay_s = 0.04\n", "h").unwrap();
+        // Two samples of 0.02 s, of which every third is seen: 2/3 of one.
+        let fine = saved.models[0].at(0.02).unwrap();
+        let input = noise(4, 800);
+        let held: Vec<f64> = input.iter().flat_map(|u| [*u; 3]).collect();
+        let output = fine.simulate(&held).into_iter().step_by(3).collect();
+        let segment = Segment { input, output, from_rest: true, ..Segment::default() };
+        let record = Record { name: "r".into(), segments: vec![segment] };
+        let data = Data { period_s: 0.06, training: Vec::new(), validation: vec![record] };
+        let applied = apply(&data, &saved, InitialState::Rest, ("u", "y")).unwrap();
+        assert!(applied.fits.iter().all(|f| f.error.error_percent < 1e-9), "{:?}", applied.fits);
+        let h = &applied.leading().unwrap().continuous.as_ref().unwrap().model;
+        assert_eq!((h.num.as_slice(), h.delay_s), ([3.0, 8.0].as_slice(), 0.04));
     }
 
     #[test]

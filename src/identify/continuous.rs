@@ -9,6 +9,9 @@ use super::model::Polynomials;
 use super::state_space::{StateSpace, characteristic};
 use nalgebra::{Complex, DMatrix, DVector, RowDVector};
 
+/// A delay this near to whole samples counts as that, in samples: a period that was measured is off by some ppm.
+const NEARLY_WHOLE: f64 = 0.01;
+
 /// How it was converted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Conversion {
@@ -62,8 +65,12 @@ impl Continuous {
         self.num.iter().chain(self.den.iter().skip(1)).copied().collect()
     }
 
-    /// The discrete model whose input is held between samples of `period_s`. A delay is rounded to whole samples.
+    /// The discrete model whose input is held between samples of `period_s`. Of a delay that is not of whole samples, to
+    /// a hundredth of one, the rest is exact too: it costs one coefficient.
     pub fn sampled(&self, period_s: f64) -> Polynomials {
+        let delay = self.delay_s / period_s;
+        let is_whole = (delay - delay.round()).abs() <= NEARLY_WHOLE;
+        let whole = if is_whole { delay.round() } else { delay.floor() };
         let n = self.den.len() - 1;
         let padded = [vec![0.0; n + 1 - self.num.len()], self.num.clone()].concat();
         // The companion form of s is that of z.
@@ -71,15 +78,35 @@ impl Continuous {
         let mut generator = DMatrix::zeros(n + 1, n + 1);
         generator.view_mut((0, 0), (n, n)).copy_from(&system.a);
         generator.view_mut((0, n), (n, 1)).copy_from(&system.b);
-        let step = (generator * period_s).exp();
-        let sampled = StateSpace {
-            a: step.view((0, 0), (n, n)).into_owned(),
-            b: step.view((0, n), (n, 1)).column(0).into_owned(),
-            ..system
+        // What so much time makes of the states, and of them an input that is held for so long.
+        let after = |seconds: f64| {
+            let step = (&generator * seconds).exp();
+            (step.view((0, 0), (n, n)).into_owned(), step.view((0, n), (n, 1)).column(0).into_owned())
         };
-        let model = sampled.polynomials();
-        Polynomials { nk: model.nk + (self.delay_s / period_s).round() as usize, ..model }
+        let (a, b) = after(period_s);
+        let model = if is_whole {
+            StateSpace { a, b, ..system }.polynomials()
+        } else {
+            // For the rest of the delay the input before still acts, and what that did goes on until the next sample.
+            let rest = (delay - whole) * period_s;
+            let ((onward, now), (_, at_first)) = (after(period_s - rest), after(rest));
+            let before = StateSpace { a: a.clone(), b: onward * at_first, c: system.c.clone(), d: system.d };
+            let now = StateSpace { a, b: now, c: system.c, d: 0.0 };
+            sum_of(&now.polynomials(), &before.polynomials())
+        };
+        Polynomials { nk: model.nk + whole as usize, ..model }
     }
+}
+
+/// Of an input, and of the same input one sample before, by models with the same A.
+fn sum_of(now: &Polynomials, before: &Polynomials) -> Polynomials {
+    let of = |model: &Polynomials, lag: Option<usize>| {
+        lag.and_then(|lag| model.b.get(lag.checked_sub(model.nk)?)).copied().unwrap_or(0.0)
+    };
+    let length = (now.nk + now.b.len()).max(before.nk + before.b.len() + 1);
+    let all: Vec<f64> = (0..length).map(|lag| of(now, Some(lag)) + of(before, lag.checked_sub(1))).collect();
+    let nk = all.iter().position(|b| *b != 0.0).unwrap_or(0);
+    Polynomials { a: now.a.clone(), b: all.into_iter().skip(nk).collect(), nk }
 }
 
 fn held(system: &StateSpace, period_s: f64) -> Option<StateSpace> {
@@ -218,6 +245,25 @@ mod tests {
         // Pole 2/T (z−1)/(z+1) = 20·(−1.5)/0.5, gain kept.
         assert!((found.poles()[0].re + 60.0).abs() < 1e-9, "{found:?}");
         assert!((found.response(0.0) - model.gain()).norm() < 1e-12);
+    }
+
+    /// At three times the rate the delay is of whole samples, and the input the same.
+    #[test]
+    fn a_delay_of_a_part_of_a_sample_is_exact() {
+        let through = Continuous { num: vec![1.0, 3.0, 2.0], den: vec![1.0, 2.0, 5.0], ..eq_7() };
+        let gain = Continuous { num: vec![2.0], den: vec![1.0], ..eq_7() };
+        for (h, samples) in [(eq_7(), 2.0 / 3.0), (eq_7(), 4.0 / 3.0), (through, 7.0 / 3.0), (gain, 1.0 / 3.0)] {
+            let h = Continuous { delay_s: samples * 0.03, ..h };
+            let input: Vec<f64> = (0..60).map(|t| f64::from((t * t) % 7) - 3.0).collect();
+            let fine: Vec<f64> = input.iter().flat_map(|u| [*u; 3]).collect();
+            let expected = h.sampled(0.01).simulate(&fine);
+            let scale = expected.iter().fold(0.0, |most: f64, y| most.max(y.abs()));
+            for (k, y) in h.sampled(0.03).simulate(&input).iter().enumerate() {
+                assert!((y - expected[3 * k]).abs() < 1e-9 * scale, "{samples}, {k}: {y} {}", expected[3 * k]);
+            }
+        }
+        let nearly = Continuous { delay_s: 0.0601, ..eq_7() };
+        assert_eq!(nearly.sampled(0.02), Continuous { delay_s: 0.06, ..eq_7() }.sampled(0.02));
     }
 
     #[test]

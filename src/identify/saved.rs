@@ -222,6 +222,11 @@ impl SavedModel {
         }
     }
 
+    /// As H(s), if that is exact for a held input.
+    pub(crate) fn continuous(&self) -> Option<&Continuous> {
+        self.continuous.as_ref()
+    }
+
     /// Response at a frequency: of H(s), or of the discrete model.
     pub(crate) fn response(&self, frequency_hz: f64) -> Option<Complex<f64>> {
         match (&self.continuous, &self.samples) {
