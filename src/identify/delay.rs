@@ -21,7 +21,7 @@ use super::colour::Colour;
 use super::data::Segment;
 use super::descent::{Descent, Lowest};
 use super::model::{Orders, Polynomials};
-use super::output_error::{self, Derivatives, derivatives_and_residual, linearised, squares, triangle};
+use super::output_error::{self, Derivatives, derivatives_and_residual, fitted_besides, linearised, squares, triangle};
 use super::regression::solve;
 use super::uncertainty::Covariance;
 use super::zero::{self, Zero};
@@ -284,7 +284,8 @@ impl<F: Fn(Timing) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
         let parts = data.iter().zip(rows).map(|(segment, rows)| derivatives_and_residual(segment, rows));
         let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
         let samples: usize = data.iter().map(Segment::observed).sum();
-        let freedom = samples.checked_sub(derivatives.first()?.ncols()).filter(|n| *n > 0)?;
+        let fitted = derivatives.first()?.ncols() + fitted_besides(&data, &state.model);
+        let freedom = samples.checked_sub(fitted).filter(|n| *n > 0)?;
         let variance = solution.residual / freedom as f64;
         let colour = Colour::of(&residuals);
         let covariance = Covariance::from_factor(colour.factor(&derivatives, &solution.inverse) * variance.sqrt());

@@ -88,10 +88,7 @@ pub(crate) fn nearest(segments: &[Segment], initial: &Polynomials) -> Result<Nea
         return Err(IdentifyError::Unstable { orders, largest_pole: initial.largest_pole() });
     }
     let samples: usize = segments.iter().map(Segment::observed).sum();
-    // Each segment that does not begin at rest has its own initial state.
-    let states: usize = segments.iter().filter_map(|s| free_initial_state(s, initial)).map(|open| open.ncols()).sum();
-    let zeros: BTreeSet<usize> = segments.iter().filter(|s| s.by_zero.is_some()).map(|s| s.record).collect();
-    let parameters = orders.parameters() + states + zeros.len();
+    let parameters = orders.parameters() + fitted_besides(segments, initial);
     if samples <= parameters {
         let longest = segments.iter().map(Segment::len).max().unwrap_or(0);
         return Err(IdentifyError::TooShort { orders, rows: samples, longest });
@@ -102,6 +99,14 @@ pub(crate) fn nearest(segments: &[Segment], initial: &Polynomials) -> Result<Nea
         DESCENT.run(initial.clone(), cost, triangle, Polynomials::moved).ok_or(IdentifyError::Dependent { orders })?;
     let noise_variance = found.cost / (samples - parameters) as f64;
     Ok(Nearest { model: found.at, noise_variance, samples, steps: found.steps, converged: found.converged })
+}
+
+/// Numbers that are fitted besides the model: initial states and zeros, which are projected out.
+pub(super) fn fitted_besides(segments: &[Segment], model: &Polynomials) -> usize {
+    // Each segment that does not begin at rest has its own initial state.
+    let states: usize = segments.iter().filter_map(|s| free_initial_state(s, model)).map(|open| open.ncols()).sum();
+    let zeros: BTreeSet<usize> = segments.iter().filter(|s| s.by_zero.is_some()).map(|s| s.record).collect();
+    states + zeros.len()
 }
 
 /// Possible contributions of the initial state to the output of a segment that does not begin at rest: orthonormal
@@ -213,4 +218,21 @@ fn columns(segment: &Segment, model: &Polynomials, wanted: Derivatives<'_>, furt
         }
     }
     Columns { record: segment.record, matrix, by_zero }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::noise;
+    use super::*;
+
+    #[test]
+    fn initial_states_and_zeros_are_counted() {
+        let model = Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk: 1 };
+        let segment = |record: usize, from_rest: bool| {
+            let by_zero = Some(vec![0.0; 50]);
+            Segment { input: noise(1, 50), output: noise(2, 50), by_zero, record, from_rest, ..Segment::default() }
+        };
+        // Two states in each of two segments, and the zeros of two records.
+        assert_eq!(fitted_besides(&[segment(0, true), segment(0, false), segment(1, false)], &model), 6);
+    }
 }
