@@ -37,6 +37,8 @@ use std::f64::consts::{PI, TAU};
 pub(crate) const OUTPUTS: [&str; 2] = ["theta_x", "theta_y"];
 /// A current that varies by less is held still, amperes.
 const STILL_A: f64 = 1e-6;
+/// An angle that varies by less does not move, radians: a table's last digit is more.
+const STILL_RAD: f64 = 1e-6;
 /// Error energy of a reduced model at most, over that of the full one, when the number of states is not given.
 const NEARLY: f64 = 1.25;
 /// Part of the currents' motion that must tell them apart: a table of 0.1 mA makes less of two that are one, and a
@@ -70,6 +72,15 @@ pub(crate) enum PlanesError {
     Still {
         /// The record.
         name: String,
+    },
+    /// An angle that does not move.
+    #[error(
+        "{angle} does not change in the fitted records: there is no motion in its plane, and no model of it; without \
+         --planes θ alone is identified, the angle in the plane of B0 (with --plant, or --input current)"
+    )]
+    StillAngle {
+        /// Its name.
+        angle: &'static str,
     },
     /// Too little data, or currents that cannot be told apart.
     #[error("{0}")]
@@ -251,6 +262,9 @@ pub(crate) fn identify(
             settings.orders.0 * SAMPLES_PER_COEFFICIENT * (coils + outputs)
         )));
     }
+    if let Some(angle) = still_angle(&fitted) {
+        return Err(PlanesError::StillAngle { angle });
+    }
     let together = Together::of(&fitted);
     if let Some(found) = together.as_ref().filter(|found| found.ratio < APART) {
         let coils: Vec<&str> = found.coils.iter().filter_map(|coil| names.get(*coil)).map(String::as_str).collect();
@@ -329,6 +343,20 @@ pub(crate) fn identify(
         reduced,
         hankel: in_band.values,
     })
+}
+
+/// The first angle that hardly changes in any of the records, about the mean of all.
+fn still_angle(records: &[Motion]) -> Option<&'static str> {
+    let moves = |output: usize| {
+        let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
+        for record in records {
+            for value in record.output.column(output).iter().filter(|value| value.is_finite()) {
+                (least, most) = (least.min(*value), most.max(*value));
+            }
+        }
+        most - least > STILL_RAD
+    };
+    OUTPUTS.iter().enumerate().find(|(output, _)| !moves(*output)).map(|(_, angle)| *angle)
 }
 
 fn not_apart(why: &str) -> PlanesError {
@@ -478,6 +506,18 @@ mod tests {
         assert!(told(0.02) && !told(0.5));
         let few = identify(&[record(30, 1e-3, 4)], &[], &names(), Settings { orders: (4, 6), ..settings }).unwrap_err();
         assert!(few.to_string().contains("too few for order 4"), "{few}");
+    }
+
+    /// Motion in one plane is no fault of the currents.
+    #[test]
+    fn an_angle_that_does_not_move_is_named() {
+        let settings = Settings { orders: (1, 4), delay: 1, keep: Some(4) };
+        let mut flat = record(2000, 1e-3, 5);
+        for (k, y) in flat.output.column_mut(1).iter_mut().enumerate() {
+            *y = 0.1 + 1e-7 * (k % 2) as f64;
+        }
+        let error = identify(&[flat], &[], &names(), settings).unwrap_err().to_string();
+        assert!(error.starts_with("theta_y does not change in the fitted records"), "{error}");
     }
 
     #[test]
