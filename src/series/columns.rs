@@ -95,6 +95,15 @@ mod tests {
         assert_eq!(message("t,u\n0,1\n\n1,a\n", "u"), format!("data.csv, line 4: `a` in column `u` {no_number}"));
         assert_eq!(message("0 1\n1 inf\n", "2"), format!("data.csv, line 2: `inf` in column 2 {no_number}"));
         assert_eq!(message("t;u\n0;1,5\n", "u"), format!("data.csv, line 2: `1,5` in column `u` {no_number}"));
+        for (text, line) in [
+            ("t,u\n0,1\n\n1,\"2\n2,3\n3,4\n", 4),
+            ("t,\"u\n0,1\n1,2\n", 1),
+            ("t,u\n# by,\"him\n0,1\n1,2\n", 2),
+            ("t;u;v\n0;1;\"a\r\nb\"\n1;2;c\n", 2),
+        ] {
+            let open = "a cell begins with a \" that is not closed in this line: close it or leave it out";
+            assert_eq!(message(text, "u"), format!("data.csv, line {line}: {open}"));
+        }
         assert_eq!(message("u,u\n1,2\n", "u"), "data.csv: the header has the column `u` twice");
         assert_eq!(message("\n\n", "u"), "data.csv: is empty; expected a table of numbers (CSV)");
     }

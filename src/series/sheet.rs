@@ -224,6 +224,11 @@ fn separated(path: &Path, text: &str, separator: u8) -> Result<Vec<Row>, SeriesE
         let start = behind + bytes.get(behind..).map_or(0, |rest| rest.iter().take_while(is_break).count());
         line += bytes.get(counted..start).map_or(0, |between| between.iter().filter(|byte| **byte == b'\n').count());
         counted = counted.max(start);
+        // A quote that is not closed takes the following lines into its cell, and their rows with it.
+        if record.iter().any(|cell| cell.contains(['\n', '\r'])) {
+            let open = "a cell begins with a \" that is not closed in this line: close it or leave it out";
+            return Err(SeriesError::Line { path: path.to_owned(), line: line as u64, problem: open.to_owned() });
+        }
         if record.get(0).is_some_and(|cell| cell.starts_with(['#', '%'])) {
             continue;
         }
