@@ -35,7 +35,8 @@ pub(super) fn file(columns: &[(String, Cells)]) -> Result<Vec<u8>, String> {
     let mut names: Vec<String> = Vec::new();
     for (column, cells) in columns {
         let name = variable(column, &names);
-        element(&mut bytes, MI_MATRIX, &matrix(&name, cells)).map_err(|()| format!("{column} has more than 2 GB"))?;
+        let written = matrix(&name, cells).and_then(|matrix| element(&mut bytes, MI_MATRIX, &matrix));
+        written.map_err(|()| format!("{column} has more than 2 GB"))?;
         names.push(name);
     }
     Ok(bytes)
@@ -52,7 +53,7 @@ fn variable(column: &str, taken: &[String]) -> String {
     (1..=taken.len() + 1).map(numbered).find(|name| !taken.contains(name)).unwrap_or(name.clone())
 }
 
-fn matrix(name: &str, cells: &Cells) -> Vec<u8> {
+fn matrix(name: &str, cells: &Cells) -> Result<Vec<u8>, ()> {
     let column = |class: u32, rows: usize, kind: u32, data: Vec<u8>| array(name, class, [rows, 1], kind, &data);
     let doubles = |values: Vec<f64>| {
         let data = values.iter().flat_map(|value| value.to_le_bytes()).collect();
@@ -84,17 +85,16 @@ fn matrix(name: &str, cells: &Cells) -> Vec<u8> {
     }
 }
 
-/// Content of a `miMATRIX`.
-fn array(name: &str, class: u32, size: [usize; 2], kind: u32, data: &[u8]) -> Vec<u8> {
+/// Content of a `miMATRIX`, if its data are not too large.
+fn array(name: &str, class: u32, size: [usize; 2], kind: u32, data: &[u8]) -> Result<Vec<u8>, ()> {
     let mut bytes = Vec::with_capacity(data.len() + 128);
     let flags: Vec<u8> = [class, 0].iter().flat_map(|word| word.to_le_bytes()).collect();
     let size: Vec<u8> = size.iter().flat_map(|n| i32::try_from(*n).unwrap_or(i32::MAX).to_le_bytes()).collect();
-    // The lengths of the first three cannot be too large, and that of the data is checked with the whole.
     let parts = [(MI_UINT32, flags.as_slice()), (MI_INT32, &size), (MI_INT8, name.as_bytes()), (kind, data)];
     for (kind, part) in parts {
-        let _ = element(&mut bytes, kind, part);
+        element(&mut bytes, kind, part)?;
     }
-    bytes
+    Ok(bytes)
 }
 
 /// Kind, length, data, and zeros up to a multiple of eight.
@@ -120,6 +120,13 @@ mod tests {
             taken.push(found);
         }
         assert_eq!(variable(&"n".repeat(100), &taken).len(), 59);
+    }
+
+    /// Its pages of zeros are not touched.
+    #[test]
+    fn what_is_too_large_is_refused() {
+        let rows = 1 << 28;
+        assert_eq!(array("a", MX_DOUBLE, [rows, 1], MI_DOUBLE, &vec![0; 8 * rows]), Err(()));
     }
 
     /// By hand, from the format's description.
