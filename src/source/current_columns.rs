@@ -21,6 +21,11 @@ const TIMES: [(&str, TimeColumn); 4] = [
     ("t_s", TimeColumn::StartSeconds),
 ];
 
+/// Whether a column of this name is one of times.
+pub(crate) fn is_time(name: &str) -> bool {
+    TIMES.iter().any(|(known, _)| *known == name)
+}
+
 /// Which column is what.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct CurrentColumns {
@@ -36,7 +41,8 @@ impl CurrentColumns {
     /// The columns with these names.
     ///
     /// # Errors
-    /// When there is no time or no coil, or a current in another unit: what is wrong, to follow the name of the table.
+    /// When there is no time or no coil, a column without a name, or a current in another unit: what is wrong, to
+    /// follow the name of the table.
     pub(crate) fn of<S: AsRef<str>>(names: &[S]) -> Result<Self, String> {
         let at = |wanted: &str| names.iter().position(|name| name.as_ref() == wanted);
         let Some((time, times)) = TIMES.iter().find_map(|(name, times)| Some((at(name)?, *times))) else {
@@ -44,11 +50,18 @@ impl CurrentColumns {
                         column per coil"
                 .to_owned());
         };
-        let is_time = |name: &str| TIMES.iter().any(|(known, _)| *known == name);
         let coils: Vec<usize> = (0..names.len()).filter(|i| !is_time(names[*i].as_ref())).collect();
         if coils.is_empty() {
             let time = names[time].as_ref();
             return Err(format!("has only times, in the column {time}; expected a column per coil, in amperes"));
+        }
+        // Programs write numbers of rows without a name, and so does a line that ends with a separator.
+        if let Some(unnamed) = coils.iter().find(|i| names[**i].as_ref().is_empty()) {
+            return Err(format!(
+                "has a column without a name, number {}, which would be taken for a coil: name it, or leave it out (in \
+                 pandas index=False leaves out the numbers of the rows)",
+                unnamed + 1
+            ));
         }
         let in_ma = |name: &&str| name.to_ascii_lowercase().ends_with("_ma");
         if let Some(milli) = coils.iter().map(|i| names[*i].as_ref()).find(in_ma) {
@@ -72,6 +85,8 @@ mod tests {
             ("t_s", "has only times, in the column t_s"),
             ("t_s,stamp_ns", "has only times, in the column stamp_ns"),
             ("t_s,i1,Coil_mA", "column `Coil_mA` is in milliamperes"),
+            (",t_s,i1", "has a column without a name, number 1, which would be taken for a coil"),
+            ("t_s,i1,", "has a column without a name, number 3"),
         ] {
             assert!(of(header).unwrap_err().contains(expected), "{header}");
         }
