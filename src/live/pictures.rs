@@ -11,7 +11,7 @@ use super::priority::{Urgency, run_as};
 use super::switch::{FROM_THE_BEGINNING, RecordSwitch, is_on};
 use super::writer::{Backlog, Entry, Log};
 use crate::estimate::Estimate;
-use crate::sink::{PictureCount, Sink, SinkError, WindowRecorder};
+use crate::sink::{PictureCount, Sink, SinkError, WindowRecorder, can_hold};
 use crate::source::Picture;
 use crate::tally::Tally;
 use std::io;
@@ -240,7 +240,9 @@ impl Recorder {
             RecordTo::Nowhere => Ok(false),
             RecordTo::Video(video) => {
                 video.write(&taken.estimate, Some(taken.picture.as_ref()))?;
-                self.recording.count.add_recorded();
+                if can_hold(&taken.picture) {
+                    self.recording.count.add_recorded();
+                }
                 Ok(true)
             }
             RecordTo::Log => {

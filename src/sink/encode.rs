@@ -35,6 +35,8 @@ pub(crate) struct VideoWriter {
     to_yuv: FromBgr,
     ticks_per_s: i64,
     phase: Phase,
+    /// Whether a frame was not later than the one before.
+    went_back: bool,
 }
 
 enum Phase {
@@ -87,7 +89,8 @@ impl VideoWriter {
         stream.set_time_base(av::Rational(1, choice.ticks_per_s as i32));
         stream.copy_parameters_from_context(&encoder);
         let to_yuv = FromBgr::for_video(size_px).map_err(fail("colour conversion"))?;
-        Ok(Self { path: path.into(), output, encoder, to_yuv, ticks_per_s: choice.ticks_per_s, phase: Phase::Fresh })
+        let (path, ticks_per_s) = (path.into(), choice.ticks_per_s);
+        Ok(Self { path, output, encoder, to_yuv, ticks_per_s, phase: Phase::Fresh, went_back: false })
     }
 
     /// Adds a picture, rows of B'G'R' with `stride` bytes each, shown from `stamp_ns` on.
@@ -101,7 +104,13 @@ impl VideoWriter {
         let mut tick = ticks(origin.elapsed_ns(stamp_ns), self.ticks_per_s);
         if tick <= *last_tick {
             // Two frames cannot be shown at once: the later one moves by the smallest unit of time in the file.
-            tracing::warn!(stamp_ns, "frame is not later than the one before; shown one tick after it in the overlay");
+            if !self.went_back {
+                tracing::warn!(
+                    stamp_ns,
+                    "a frame is not later than the one before: such frames are one tick apart in the overlay"
+                );
+                self.went_back = true;
+            }
             tick = *last_tick + 1;
         }
         if *last_tick >= 0 {

@@ -39,6 +39,7 @@ pub(crate) use images::{ImageTaker, LoggedImage};
 pub use overlay::OverlaySink;
 pub(crate) use overlay::{StillError, Stills};
 pub(crate) use palette::{Palette, Rgb};
+pub(crate) use pictures::can_hold;
 pub use pictures::{PictureCodec, PictureVideo};
 pub use publish::PublishSink;
 pub use udp::UdpSink;

@@ -2,7 +2,8 @@
 //!
 //! In: pictures as they were tracked. Out: every picture at its camera time, to the nanosecond, with the tags of its
 //! colours. With FFV1 the samples are those that were tracked (packed RGB and NV12 are reordered, nothing is
-//! converted), so tracking the video gives the same numbers. H.264 keeps a picture's subsampling; RGB becomes 4:2:0.
+//! converted), so tracking the video gives the same positions; what σ took from the coder of the source is not in it.
+//! Damaged and interlaced pictures are left out: the video cannot mark them. H.264 keeps a picture's subsampling; RGB becomes 4:2:0.
 //!
 //! libav's muxer counts in milliseconds. Matroska allows finer units (`TimestampScale`, RFC 9559 §5.1.2.9): the file
 //! gets stamps in nanoseconds, and the scale in its header is set to match. Every picture is in its own cluster, which
@@ -49,6 +50,7 @@ pub struct PictureVideo {
     path: PathBuf,
     codec: PictureCodec,
     running: Option<Running>,
+    warned: bool,
 }
 
 struct Running {
@@ -58,6 +60,8 @@ struct Running {
     /// Subtracted from every stamp, and recorded in the file.
     origin_ns: i64,
     last_ns: i64,
+    /// Whether a stamp was not later than the one before.
+    went_back: bool,
 }
 
 /// Makes libav frames from pictures.
@@ -76,7 +80,7 @@ impl PictureVideo {
     pub fn create(path: &Path, codec: PictureCodec) -> Result<Self, SinkError> {
         find(path, codec)?;
         File::create(path).map_err(|source| SinkError::io(path, source))?;
-        Ok(Self { path: path.to_owned(), codec, running: None })
+        Ok(Self { path: path.to_owned(), codec, running: None, warned: false })
     }
 
     fn start(&self, picture: &Picture, stamp_ns: i64) -> Result<Running, SinkError> {
@@ -132,7 +136,7 @@ impl PictureVideo {
         }
         output.write_header_with(options).map_err(fail("writing the header"))?;
         count_in_nanoseconds(path).map_err(|source| SinkError::io(path, source))?;
-        Ok(Running { output, encoder, frames, origin_ns, last_ns: -1 })
+        Ok(Running { output, encoder, frames, origin_ns, last_ns: -1, went_back: false })
     }
 
     /// Adds a picture.
@@ -148,7 +152,14 @@ impl PictureVideo {
         let mut frame = running.frames.frame(&self.path, picture)?;
         let mut ns = stamp_ns.saturating_sub(running.origin_ns);
         if ns <= running.last_ns {
-            tracing::warn!(stamp_ns, "picture is not later than the one before; it is 1 ns after it in the video");
+            if !running.went_back {
+                tracing::warn!(
+                    stamp_ns,
+                    "a picture is not later than the one before: such pictures are 1 ns apart in the video, and their \
+                     own times are in the log alone"
+                );
+                running.went_back = true;
+            }
             ns = running.last_ns + 1;
         }
         running.last_ns = ns;
@@ -158,9 +169,24 @@ impl PictureVideo {
     }
 }
 
+/// Whether a video of such pictures shows what can be measured: it would not say that one is damaged, or interlaced.
+pub(crate) fn can_hold(picture: &Picture) -> bool {
+    !picture.is_damaged() && !picture.is_interlaced()
+}
+
 impl Sink for PictureVideo {
     fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError> {
         let picture = picture.ok_or_else(|| SinkError::NoPicture { path: self.path.clone() })?;
+        if !can_hold(picture) {
+            if !self.warned {
+                tracing::warn!(
+                    "{}: damaged and interlaced pictures are left out, as the video cannot say what they are",
+                    self.path.display()
+                );
+                self.warned = true;
+            }
+            return Ok(());
+        }
         self.add(picture, estimate.stamp.ns)
     }
 
@@ -327,5 +353,38 @@ fn failed(path: &Path) -> impl Fn(&'static str) -> Box<dyn Fn(av::Error) -> Sink
     move |doing| {
         let path = path.clone();
         Box::new(move |source| SinkError::Video { path: path.clone(), doing, source })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::{FrameSource as _, VideoFile, VideoOptions};
+    use crate::testing::fixture;
+
+    #[test]
+    fn what_a_video_cannot_mark_is_left_out() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("pictures.mkv");
+        let mut video = PictureVideo::create(&path, PictureCodec::Ffv1).unwrap();
+        let colour = Colour { matrix: Matrix::Bt709, range: Range::Limited, ..Colour::SRGB };
+        let format = PixelFormat::Yuv { chroma_log2: [1, 1] };
+        let sound = |value: u8| {
+            let planes = vec![vec![value; 32 * 24], vec![128; 16 * 12], vec![128; 16 * 12]];
+            Picture::from_planes(32, 24, format, colour, planes).unwrap()
+        };
+        let pictures = [sound(20), sound(40).marked_damaged(), sound(60).interlaced(true), sound(80)];
+        for (seq, picture) in (0..).zip(&pictures) {
+            let mut estimate = fixture::complete(seq, 0);
+            estimate.stamp.ns = seq as i64 * 16_666_667;
+            video.write(&estimate, Some(picture)).unwrap();
+        }
+        video.finish(&Tally::new(&fixture::rig())).unwrap();
+        let mut kept = VideoFile::open(&path, VideoOptions::default()).unwrap();
+        let mut seen = Vec::new();
+        while let Some(frame) = kept.next_frame().unwrap() {
+            seen.push((frame.stamp.ns, frame.picture.plane(0).unwrap().row(0).unwrap()[0]));
+        }
+        assert_eq!(seen, [(0, 20), (3 * 16_666_667, 80)]);
     }
 }
