@@ -114,7 +114,9 @@ pub fn run(
                 Ok(estimate) => estimate,
                 Err(error) => break Some(End::Track { seq: frame.seq, stamp: frame.stamp, error }),
             };
-            tracker.warning().iter().for_each(|warning| tracing::warn!("{warning}"));
+            while let Some(warning) = tracker.warning() {
+                tracing::warn!("{warning}");
+            }
             if tracing::enabled!(tracing::Level::DEBUG) {
                 let found = describe(&estimate, tracker.rig());
                 tracing::debug!("frame {} at {} s: {found}", frame.seq, frame.stamp.seconds());

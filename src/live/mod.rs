@@ -385,7 +385,9 @@ fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut RowOutputs) -> Opti
                 return Some(End::Track { seq, stamp, error });
             }
         }
-        tracker.warning().iter().for_each(|warning| tracing::warn!("{warning}"));
+        while let Some(warning) = tracker.warning() {
+            tracing::warn!("{warning}");
+        }
     }
 }
 

@@ -331,6 +331,10 @@ impl Decoding {
                     }
                     self.messages.packet(&mut self.decoder, number);
                     if packet.is_corrupt() {
+                        if packet.pts().is_none() {
+                            // No picture will take its time.
+                            self.in_turn.pop_back();
+                        }
                         self.damaged_packet(av::Error::InvalidData, false);
                         continue;
                     }

@@ -128,6 +128,13 @@ impl ImageFolder {
         self
     }
 
+    /// How the next readable picture is stored.
+    fn next_layout(&mut self) -> Option<(PixelFormat, Colour)> {
+        let paths: Vec<PathBuf> = self.rows.iter().skip(self.next).map(|(name, _)| self.folder.join(name)).collect();
+        let picture = paths.iter().find_map(|path| self.read(path).ok())?;
+        Some((picture.format(), picture.colour()))
+    }
+
     fn read(&mut self, path: &Path) -> Result<Picture, SourceError> {
         let unreadable = |reason: String| SourceError::Picture { path: path.to_path_buf(), reason };
         let unread = |error| SourceError::Io { path: path.to_path_buf(), error };
@@ -173,6 +180,9 @@ impl FrameSource for ImageFolder {
                 Err(error @ (SourceError::Picture { .. } | SourceError::Io { .. })) => {
                     self.faults.pictures_left_out += 1;
                     tracing::warn!("{error}");
+                    if self.layout.is_none() && self.keep_damaged {
+                        self.layout = self.next_layout();
+                    }
                     let dark = self.layout.filter(|_| self.keep_damaged);
                     match dark.and_then(|(format, colour)| Picture::missing(self.size_px, format, colour).ok()) {
                         Some(picture) => picture,

@@ -161,6 +161,11 @@ fn what_is_wrong_is_named_with_file_and_line() {
     // A picture that cannot be read costs its frame and no other.
     let frames = read(folder.path(), stated("60")).unwrap();
     assert_eq!(frames.iter().filter(|frame| !frame.picture.is_damaged()).count(), 3);
+    // Nor does the first, which is tracked as damaged.
+    std::fs::write(at("0.png"), "no picture").unwrap();
+    let kept = read(folder.path(), SourceOptions { keep_damaged: true, ..stated("60") }).unwrap();
+    let damaged: Vec<bool> = kept.iter().map(|frame| frame.picture.is_damaged()).collect();
+    assert_eq!(damaged, [true, false, false, false, true]);
     let missing = source::open(at("none"), stated("60")).err().unwrap().to_string();
     assert!(missing.contains("none: no such file or folder"), "{missing}");
 }

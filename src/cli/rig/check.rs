@@ -53,7 +53,9 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
     let mut frames = 0;
     while let Some(frame) = source.next_frame().map_err(|e| Failure::new(Exit::Failed, e))? {
         let estimate = tracker.step(&frame).map_err(Failure::usage)?;
-        tracker.warning().iter().for_each(|warning| tracing::warn!("{}: {warning}", recording.display()));
+        while let Some(warning) = tracker.warning() {
+            tracing::warn!("{}: {warning}", recording.display());
+        }
         let tip = rig.tip();
         let place = |marker: usize| estimate.markers.get(marker)?.position.as_ref().ok().map(|p| p.point);
         if let (Some(coil), Some(tip), Ok(tangent)) = (place(rig.catheter.coil), place(tip), &estimate.tangent) {
