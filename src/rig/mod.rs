@@ -104,6 +104,11 @@ impl Rig {
         Draft::from(self.clone()).to_toml_string()
     }
 
+    /// The base frame, if the first band rests at its origin. Where the coil comes first there is no such band.
+    pub(crate) fn resting_base(&self) -> Option<&Base> {
+        self.base.as_ref().filter(|_| self.catheter.coil != 0)
+    }
+
     /// σ of the base frame's origin along the camera's axes, metres, as `calibrate base` recorded it; `None` when it
     /// did not.
     pub fn origin_sd_m(&self) -> Option<Vector3<f64>> {

@@ -376,11 +376,6 @@ impl Picture {
         self
     }
 
-    /// Whether it was decoded, from a recording or a stream; else a camera or a program gave its samples.
-    pub(crate) fn is_decoded(&self) -> bool {
-        matches!(*self.storage, Storage::Decoded(_))
-    }
-
     /// How coarsely its coder quantised it; `None` when unknown or lossless.
     pub fn quantisation(&self) -> Option<&Quantisation> {
         self.quantisation.as_deref()

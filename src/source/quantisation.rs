@@ -60,6 +60,11 @@ impl Quantisation {
         Some(self.channels.map(|by| by * step))
     }
 
+    /// Whether its steps are larger than another's, as far as the first block tells.
+    pub(crate) fn is_coarser_than(&self, other: &Self) -> bool {
+        self.step_at([0, 0]) > other.step_at([0, 0])
+    }
+
     /// The same level in all blocks of a picture that may be predicted from others.
     pub(crate) fn of_level(level: u8, [width, height]: [u32; 2]) -> Self {
         let columns = width.div_ceil(BLOCK_PX);

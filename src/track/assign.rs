@@ -64,7 +64,7 @@ pub(crate) struct Assigned {
 #[derive(Debug)]
 pub(crate) struct Assigner {
     last: Vec<Option<(Point3<f64>, Timestamp)>>,
-    /// Where the base band rests, if the rig has a base frame, and whether it was seen there.
+    /// Where the base band rests, if the rig tells, and whether it was seen there.
     rest: Option<Point3<f64>>,
     rested: bool,
 }
@@ -76,7 +76,7 @@ struct Candidate {
 
 impl Assigner {
     pub(crate) fn new(rig: &Rig) -> Self {
-        let rest = rig.base.as_ref().map(|base| base.base_from_camera.inverse() * Point3::origin());
+        let rest = rig.resting_base().map(|base| base.base_from_camera.inverse() * Point3::origin());
         Self { last: vec![None; rig.markers.len()], rest, rested: false }
     }
 

@@ -17,7 +17,7 @@ pub(crate) fn differences(one: &Block, other: &Block) -> (i32, i32) {
     differences.fold((0, 0), |(sum, squares), d| (sum + d, squares + d * d))
 }
 
-/// Frames that are looked at.
+/// Frames in which blocks are compared.
 const FRAMES: u32 = 120;
 /// How many frames before is the earlier one that a block is compared with.
 const EARLIER: usize = 4;
@@ -26,14 +26,15 @@ const EARLIER: usize = 4;
 #[derive(Debug, Default)]
 pub(crate) struct Blocks {
     last: BTreeMap<[u32; 2], Last>,
-    frames: u32,
+    frames: u64,
+    compared: u32,
 }
 
 /// A block of the last frames in a row, newest first, and when the newest was.
 #[derive(Debug, Default)]
 struct Last {
     samples: VecDeque<Block>,
-    frame: u32,
+    frame: u64,
 }
 
 /// A block, the same in the frame before, and four frames before.
@@ -47,12 +48,12 @@ pub(crate) struct Compared {
 }
 
 impl Blocks {
-    /// Adds a picture: luma, or green, of all blocks around windows. What it is compared with; nothing once enough was.
+    /// Adds a picture: luma, or green, of all blocks around windows. What it is compared with; nothing once enough was,
+    /// and for a picture that repeats the one before to the last bit there: it may be the same one, shown twice.
     pub(crate) fn add(&mut self, picture: &Picture, windows: impl Iterator<Item = Window>) -> Vec<Compared> {
-        if self.frames == FRAMES {
+        if self.compared == FRAMES {
             return Vec::new();
         }
-        self.frames += 1;
         let around = windows.map(|window| window.grown(AROUND_PX, SIDE as u32).clipped(picture.size_px()));
         // Recorded windows may end before.
         let read = around.filter(|window| picture.declare_read(*window).is_ok());
@@ -60,9 +61,18 @@ impl Blocks {
             let columns = (window.x0..window.x1).step_by(SIDE);
             (window.y0..window.y1).step_by(SIDE).flat_map(move |y| columns.clone().map(move |x| [x, y]))
         });
+        // Windows may overlap.
+        let blocks: BTreeMap<[u32; 2], Block> =
+            corners.filter_map(|corner| Some((corner, block(picture, corner)?))).collect();
+        let repeats = |(corner, now): (&[u32; 2], &Block)| {
+            self.last.get(corner).is_some_and(|last| last.frame == self.frames && last.samples.front() == Some(now))
+        };
+        if !blocks.is_empty() && blocks.iter().all(repeats) {
+            return Vec::new();
+        }
+        self.frames += 1;
         let mut compared = Vec::new();
-        for corner in corners {
-            let Some(now) = block(picture, corner) else { continue };
+        for (corner, now) in blocks {
             let Last { samples, frame } = self.last.entry(corner).or_default();
             if self.frames != *frame + 1 {
                 samples.clear();
@@ -74,7 +84,8 @@ impl Blocks {
             samples.truncate(EARLIER);
             *frame = self.frames;
         }
-        if self.frames == FRAMES {
+        self.compared += u32::from(!compared.is_empty());
+        if self.compared == FRAMES {
             self.last = BTreeMap::new();
         }
         compared

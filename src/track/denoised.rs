@@ -105,6 +105,11 @@ mod tests {
     /// After so many frames with an edge, of which each takes over a part of the one before where it differs by less
     /// than `weak`, and light that flickers.
     fn after(frames: u32, takes: f64, weak: f64, noise: f64) -> Denoised {
+        after_shown(1, frames, takes, weak, noise)
+    }
+
+    /// The same where each is shown several times.
+    fn after_shown(times: u32, frames: u32, takes: f64, weak: f64, noise: f64) -> Denoised {
         let (mut denoised, mut random) = (Denoised { pixel_m: 0.5e-3, ..Denoised::default() }, Random::new(5));
         let mut blocks = Blocks::default();
         let mut shown: Vec<f64> = Vec::new();
@@ -118,7 +123,7 @@ mod tests {
             shown = if shown.is_empty() { own } else { own.iter().zip(&shown).map(reduced).collect() };
             let planes = vec![shown.iter().map(|value| value.round() as u8).collect()];
             let picture = Picture::from_planes(SIZE, SIZE, PixelFormat::Grey, Colour::SRGB, planes).unwrap();
-            denoised.add(&blocks.add(&picture, [BASE].into_iter()));
+            (0..times).for_each(|_| denoised.add(&blocks.add(&picture, [BASE].into_iter())));
         }
         denoised
     }
@@ -127,6 +132,7 @@ mod tests {
     fn noise_that_lasts_is_told_from_noise_of_each_picture() {
         for noise in [0.3, 1.5, 6.0] {
             assert!(!after(130, 0.0, 0.0, noise).is_seen(), "noise of {noise}");
+            assert!(!after_shown(2, 130, 0.0, 0.0, noise).is_seen(), "shown twice, noise of {noise}");
         }
         for (takes, noise) in [(0.5, 1.5), (0.75, 1.5), (0.75, 6.0)] {
             assert!(after(20, takes, 8.0 * noise, noise).is_seen(), "{takes}, noise of {noise}");

@@ -22,10 +22,11 @@ pub(crate) struct ImageModel {
 }
 
 impl ImageModel {
-    /// How coarsely a picture was quantised, by its own coder or by that of the video it is a copy of; `None` when that
-    /// is unknown, and without losses.
+    /// How coarsely a picture was quantised, by its own coder or by that of the video it is a copy of, whichever lost
+    /// more; `None` when that is unknown, and without losses.
     pub(crate) fn quantisation<'a>(&'a self, picture: &'a Picture) -> Option<&'a Quantisation> {
-        self.first_coded.as_ref().or(picture.quantisation())
+        let own = picture.quantisation();
+        self.first_coded.as_ref().filter(|first| own.is_none_or(|own| first.is_coarser_than(own))).or(own)
     }
 
     /// Its errors in a picture. `converted` tells that it was made from one with subsampled chroma (pairs.rs), `noisy`

@@ -23,7 +23,7 @@ const LEAST: f64 = 0.12;
 const SEEN: f64 = 0.5;
 /// Standard deviations of its noise that it must exceed.
 const CLEAR_SD: f64 = 6.0;
-/// Half-life of what was seen, frames.
+/// Half-life of what was seen, frames that tell.
 const FRAMES: f64 = 60.0;
 
 /// What pictures have shown so far.
@@ -53,8 +53,12 @@ impl Slips {
 }
 
 impl Lag {
-    /// Begins a frame.
-    pub(crate) fn fade(&mut self) {
+    /// Begins a frame in which the tube has moved so far in the views, pixels. What was seen fades only in frames that
+    /// tell.
+    pub(crate) fn begin(&mut self, ways_px: &[Vector2<f64>]) {
+        if !ways_px.iter().any(|way_px| MOTION_PX.contains(&way_px.norm())) {
+            return;
+        }
         let by = 0.5_f64.powf(1.0 / FRAMES);
         for Slips { information, pull, of_lag, pull_of_lag, both } in &mut self.views {
             *information *= by;
@@ -114,9 +118,9 @@ mod tests {
         let (mut lag, mut random) = (Lag::default(), Random::new(8));
         let information = Matrix2::new(1.0, 0.2, 0.2, 0.5) / SD_PX.powi(2);
         for k in 0..frames {
-            lag.fade();
-            for (view, to) in [1.0, -0.8].into_iter().enumerate() {
-                let way = Vector2::new(to, 0.4) * (way_px * (f64::from(k) * per_frame).cos());
+            let ways = [1.0, -0.8].map(|to| Vector2::new(to, 0.4) * (way_px * (f64::from(k) * per_frame).cos()));
+            lag.begin(&ways);
+            for (view, (to, way)) in [1.0, -0.8].into_iter().zip(ways).enumerate() {
                 let slip = way * -part + Vector2::repeat(own_px * to);
                 let noise = Vector2::new(random.normal(), random.normal()) / SD_PX;
                 lag.add(view, &Seen { information, pull: information * slip + noise, ..Seen::default() }, &way);
@@ -131,6 +135,14 @@ mod tests {
             let lag = seen(120, part, 2.0, 0.3, 0.1);
             assert!(lag.is_seen() && (lag.late() * SEEN - part).abs() < 0.05, "{part}: {lag:?}");
         }
+    }
+
+    #[test]
+    fn rest_does_not_change_what_was_seen() {
+        let mut lag = seen(120, 0.3, 2.0, 0.3, 0.1);
+        let before = lag.late();
+        (0..100_000).for_each(|_| lag.begin(&[Vector2::new(0.01, 0.0)]));
+        assert!((lag.late() - before).abs() < 1e-12 && before > 0.0, "{lag:?}");
     }
 
     #[test]

@@ -155,14 +155,13 @@ impl Repeats {
     /// own time.
     pub(crate) fn is_repeated(&self, picture: &Picture, stamp: Timestamp, predicted: bool) -> bool {
         let Some(last) = self.last.as_ref().filter(|last| last.moving) else { return false };
-        let since_s = stamp.seconds_since(last.stamp);
-        (!predicted || since_s < AT_REST_S) && checksum(picture, &last.windows) == Some(last.checksum)
+        (!predicted || is_recent(stamp, last.stamp)) && checksum(picture, &last.windows) == Some(last.checksum)
     }
 
     /// Whether the bands of a picture are where they were in the last one that was measured, although they moved: it
     /// repeats that one, coded again or with other noise. Asked of every picture, before it is remembered.
     pub(crate) fn stands_still(&mut self, estimate: &Estimate) -> bool {
-        let recent = self.last.as_ref().is_some_and(|last| estimate.stamp.seconds_since(last.stamp) < AT_REST_S);
+        let recent = self.last.as_ref().is_some_and(|last| is_recent(estimate.stamp, last.stamp));
         let courses = self.bands.iter().zip(places(estimate)).filter_map(|(band, place)| Some(band.course(&place?)));
         let courses: Vec<Course> = courses.collect();
         let stands = courses.contains(&Course::Stands) || self.standing && courses.contains(&Course::Rests);
@@ -182,6 +181,11 @@ impl Repeats {
         self.last =
             checksum(picture, &windows).map(|checksum| Shown { stamp: estimate.stamp, windows, checksum, moving });
     }
+}
+
+/// Whether a catheter can hardly have come to rest since then. (A clock may be set back.)
+fn is_recent(now: Timestamp, then: Timestamp) -> bool {
+    (0.0..AT_REST_S).contains(&now.seconds_since(then))
 }
 
 /// Where each band of an estimate is.

@@ -137,8 +137,7 @@ impl Rolling {
             let (shown, ns) = (*position, estimate.stamp.ns + (late_s * 1e9) as i64);
             let Some(course) = self.positions.get_mut(m) else { continue };
             course.add(ns, position.point.coords);
-            // The base band rests if the rig has a base frame.
-            let rests = m == 0 && rig.base.is_some();
+            let rests = m == 0 && rig.resting_base().is_some();
             let motion = course.motion(late_s, USUAL);
             if !rests {
                 position.point += motion.shift;

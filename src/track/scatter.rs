@@ -48,6 +48,10 @@ impl Scatter {
         covariance: &Matrix3<f64>,
         persisting: f64,
     ) -> f64 {
+        // A clock that is set back begins anew.
+        if self.recent.back().is_some_and(|last| stamp.ns < last.0) {
+            self.recent.clear();
+        }
         self.recent.push_back((stamp.ns, value, covariance.trace()));
         while self.recent.len() > ORDER + 1 || self.recent.front().is_some_and(|first| stamp.ns - first.0 > LONGEST_NS)
         {

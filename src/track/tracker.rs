@@ -231,7 +231,7 @@ impl Tracker {
         };
         self.pairs.add(picture, &found.blobs);
         // A coder that predicts makes noise last itself.
-        if picture.is_decoded() && !picture.quantisation().is_some_and(|own| own.predicted) {
+        if !picture.quantisation().is_some_and(|own| own.predicted) && self.rig.catheter.coil != 0 {
             let blocks = self.blocks.add(picture, found.windows_of(0));
             self.copied.add(picture, &blocks);
             self.denoised.add(&blocks);
@@ -417,7 +417,7 @@ impl Tracker {
         let (of_coil, fit) = self.of_coil(fitted)?;
         let ways_px = self.ways_px(stamp, of_coil, fit)?;
         self.denoised.pixel_m = fit.pixel_m();
-        self.lag.fade();
+        self.lag.begin(&ways_px);
         for ((v, view), way_px) in of_coil.views.iter().zip(&fit.views).zip(&ways_px) {
             let [across, _] = view.image.at_arc(0.0).axes();
             self.fields.add(&view.rows, across.dot(way_px));
@@ -526,7 +526,7 @@ impl Tracker {
         let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
         let base = estimate.markers.first().map(|base| &base.position);
         let mut carried = Matrix3::zeros();
-        if let (Some(Ok(base)), Some(_)) = (base, &self.rig.base) {
+        if let (Some(Ok(base)), Some(_)) = (base, self.rig.resting_base()) {
             let direction = estimate.tangent.as_ref().ok().map(|tangent| &tangent.direction);
             self.shake.add(stamp, base, direction);
             self.moved.add(stamp, base, direction);
@@ -534,10 +534,10 @@ impl Tracker {
                 carried = carried::covariance(&off, &covariance);
             }
         }
-        // A knock is both for half a second.
         let (shake, moved) = (self.shake.at(stamp), self.moved.covariance());
-        let astray = if shake.trace() > moved.trace() { shake } else { moved };
-        let of_base = if carried.trace() > astray.trace() { carried } else { astray };
+        let astray = shake + moved;
+        // A coder that carries the band along moves it, too.
+        let of_base = shake + if carried.trace() > moved.trace() { carried } else { moved };
         for (m, (marker, scatter)) in estimate.markers.iter_mut().zip(&mut self.scatter).enumerate() {
             if let Ok(position) = &mut marker.position {
                 position.covariance *= scatter.add(stamp, position.point.coords, &position.covariance, persisting);

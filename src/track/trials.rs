@@ -23,7 +23,8 @@ impl Default for Trials {
 impl Trials {
     /// Whether a frame is to be one.
     pub(crate) fn are_due(&mut self, stamp: Timestamp) -> bool {
-        let due = self.last.is_none_or(|then| stamp.seconds_since(then) >= self.spacing_s);
+        // A clock may be set back.
+        let due = self.last.is_none_or(|then| !(0.0..self.spacing_s).contains(&stamp.seconds_since(then)));
         self.last = if due { Some(stamp) } else { self.last };
         due
     }
@@ -31,5 +32,19 @@ impl Trials {
     /// Whether they are to decide soon, from now on.
     pub(crate) fn go_on(&mut self, soon: bool) {
         self.spacing_s = if soon { SPACING_S.0 } else { SPACING_S.1 };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::Clock;
+
+    #[test]
+    fn they_are_due_from_time_to_time_and_after_a_clock_was_set_back() {
+        let mut trials = Trials::default();
+        let mut due = |ms: i64| trials.are_due(Timestamp { ns: ms * 1_000_000, clock: Clock::Stream });
+        assert!(due(3_600_000) && !due(3_600_040) && due(3_600_060));
+        assert!(due(0) && !due(40) && due(60));
     }
 }

@@ -36,7 +36,7 @@ const HELD_SD: f64 = 2.5;
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Level {
-    /// What was learned with the rig, and how often it was asked for.
+    /// What was learned with the rig, and how often a value clearly exceeded it.
     learned: Option<f64>,
     compared: u32,
     frames: f64,
@@ -92,7 +92,9 @@ impl Usual {
         } else if let Some(learned) = level.learned
             && (level.compared < COMPARED_FRAMES || common < SAME_NOISE)
         {
-            level.compared = level.compared.saturating_add(1);
+            if value.ln() > learned + common + HELD_SD * LEARNED_SD {
+                level.compared = level.compared.saturating_add(1);
+            }
             (learned + common, LEARNED_SD)
         } else {
             return 0.0;
@@ -229,6 +231,8 @@ mod tests {
         assert!((usual.ratio(1, 0, 8.0) - 2.0).abs() < 1e-9 && (usual.ratio(0, 0, 8.0) - 1.0).abs() < 1e-9);
         assert!(usual.beyond(1, 0, 4.0).is_some_and(|sd| sd.abs() < 1e-9) && usual.beyond(0, 0, 8.0).is_none());
         assert!(usual.beyond(1, 0, 4.4).is_some_and(|sd| (1.8..2.0).contains(&sd)));
+        // What is as learned can be asked for as often as one likes.
+        (0..2 * COMPARED_FRAMES).for_each(|_| _ = usual.above(1, 0, 4.4, common));
         assert!(!usual.is_unlike_learned());
         // What lasts is in front of the band, or, in a noisier recording, how this one is; and what was seen counts
         // more than what was learned.

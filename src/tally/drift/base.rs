@@ -40,9 +40,9 @@ pub(crate) struct BaseBand {
 struct Block(Matrix3<f64>, Vector3<f64>);
 
 impl BaseBand {
-    /// For a rig with a base frame.
+    /// For a rig that tells where its first band rests.
     pub(crate) fn new(rig: &Rig) -> Option<Self> {
-        let origin = rig.base.as_ref()?.base_from_camera.inverse() * Point3::origin();
+        let origin = rig.resting_base()?.base_from_camera.inverse() * Point3::origin();
         let sd_m = rig.origin_sd_m().unwrap_or_else(|| Vector3::repeat(STATED_SD_M));
         // The origin's variance, and as much again: errors of the image model about the band are the same in all frames
         // of a run.
