@@ -49,6 +49,10 @@ fn eq_7_is_applied_to_a_record_and_a_wrong_sign_is_seen() {
     assert_eq!((fit["model"].as_str(), fit["kind"].as_str()), (Some("given"), Some("simulation")), "{found}");
     assert!(fit["error_percent"].as_f64().unwrap() < 0.03, "{fit}");
     assert!((found["gains"][0]["gain"].as_f64().unwrap() - 1.0).abs() < 5e-3, "{found}");
+    // Of the read, not of a fit.
+    for (setting, told) in [("detrend", true), ("zero", true), ("estimator", false), ("bootstrap", false)] {
+        assert_eq!(found["settings"].get(setting).is_some(), told, "{setting}");
+    }
     for file in ["report.html", "signals.csv", "bode.csv"] {
         assert!(good.join(file).metadata().unwrap().len() > 1000, "{file}");
     }

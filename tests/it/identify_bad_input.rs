@@ -29,8 +29,12 @@ fn good(folder: &Path) {
 
 /// Exit code, and what was said.
 fn identify(folder: &Path, args: &[&[&str]]) -> (i32, String) {
+    let args = args.concat();
     let mut program = Command::new(env!("CARGO_BIN_EXE_catoptra"));
-    program.current_dir(folder).arg("identify").args(args.concat()).args(["--bootstrap", "0"]);
+    program.current_dir(folder).arg("identify").args(&args);
+    if !args.contains(&"--model") && !args.contains(&"--bootstrap") {
+        program.args(["--bootstrap", "0"]);
+    }
     let output = program.output().unwrap();
     (output.status.code().unwrap_or(-1), String::from_utf8_lossy(&output.stderr).into_owned())
 }
@@ -105,6 +109,11 @@ fn options_that_cannot_be_followed() {
     let with = |more: &[&str], code, says: &[&str]| refused(folder, &[&["good.csv"], &COLUMNS, more], code, says);
     with(&["--train", "0:500"], 2, &["good.csv: has 400 samples, and 0:500 were asked for"]);
     with(&["--train", "0:200", "--test", "300:401"], 2, &["good.csv: has 400 samples, and 300:401"]);
+    with(
+        &["--test", "300:400"],
+        2,
+        &["--test 300:400: without --train all of the record is fitted", "add --train A:B"],
+    );
     with(&["--train", "5:5"], 2, &["`5:5` is no range of samples: write 0:500"]);
     with(&["--train", "0:4", "--order", "2", "--nk", "1"], 2, &["good.csv [0:4]: 4 coefficients", "4 samples"]);
     let judged = ["good.csv [398:400]: no stretch", "more than 2 samples", "judge by more"];
@@ -120,6 +129,23 @@ fn options_that_cannot_be_followed() {
     for more in [["--currents", "a.csv"], ["--delay", "20ms"], ["--coil", "1"], ["--plant", "plant.toml"]] {
         with(&more, 2, &["cannot be used with"]);
     }
+    // Nothing is fitted with --model.
+    for more in [
+        &["--train", "0:200"][..],
+        &["--reduce", "2"],
+        &["--match-dc"],
+        &["--all-frequencies"],
+        &["--estimator", "oe"],
+        &["--bootstrap", "10"],
+    ] {
+        with(&[&["--model", "eq7"][..], more].concat(), 2, &["cannot be used with"]);
+    }
+    refused(
+        folder,
+        &[&["good.csv", "--input", "current", "--period", "0.01"]],
+        2,
+        &["good.csv: has the camera's times", "add --resample"],
+    );
     refused(
         folder,
         &[&["good.csv", "--input", "v", "--output", "y", "--period", "0.01"]],

@@ -18,6 +18,11 @@ fn current_a(command: usize) -> f64 {
 /// A pendulum of 6 rad/s, driven by commands at 60 Hz and seen at 59.97 Hz: a record, its table of currents, of which
 /// only every so many rows are told, and the input and output of every command. The camera's clock is fast by `ppm`.
 fn record(folder: &Path, ppm: f64, rows: usize, unit: f64) {
+    record_with(folder, ppm, (rows, unit), 0.0);
+}
+
+/// The same with frames that are early or late by up to `uneven` periods.
+fn record_with(folder: &Path, ppm: f64, (rows, unit): (usize, f64), uneven: f64) {
     const STEPS: usize = 60;
     let step_s = 1.0 / (60.0 * STEPS as f64);
     let mut random = Random::new(1);
@@ -33,7 +38,7 @@ fn record(folder: &Path, ppm: f64, rows: usize, unit: f64) {
         let noisy = angle.to_degrees() + 0.11 * random.normal();
         writeln!(single, "{t:.6},{:.6},{noisy:.6}", current_a(command / rows * rows)).unwrap();
         for step in 0..STEPS {
-            let at_s = 0.0123 + frame as f64 / 59.97;
+            let at_s = 0.0123 + (frame as f64 + uneven * (2.0 * frame as f64).sin()) / 59.97;
             if t + step as f64 * step_s >= at_s && frame < FRAMES {
                 let (theta, clock_s) = (angle.to_degrees() + 0.11 * random.normal(), at_s * (1.0 + 1e-6 * ppm));
                 writeln!(seen, "{frame},{clock_s:.9},{:.0},{theta:.6},0.11,0", 1e9 * clock_s).unwrap();
@@ -72,6 +77,19 @@ fn a_clock_that_drifts_is_told_where_the_delay_is_not() {
     record(folder.path(), 0.0, 1, 1.0);
     let same = told(folder.path(), &CURRENT);
     assert!(!same.contains("the clock of the currents") && !same.contains("mA?"), "{same}");
+}
+
+/// Frames that must be resampled tell it as well.
+#[test]
+fn a_clock_that_drifts_is_told_where_frames_are_uneven() {
+    let folder = tempfile::tempdir().unwrap();
+    let resampled = [&CURRENT[..], &["--resample"]].concat();
+    record_with(folder.path(), -300.0, (1, 1.0), 0.3);
+    let drifts = told(folder.path(), &resampled);
+    assert!(drifts.contains("the clock of the currents seems to run"), "{drifts}");
+    record_with(folder.path(), 0.0, (1, 1.0), 0.3);
+    let same = told(folder.path(), &resampled);
+    assert!(!same.contains("the clock of the currents"), "{same}");
 }
 
 #[test]

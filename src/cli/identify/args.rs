@@ -49,6 +49,23 @@ const NOT_WITH_PLANES: [&str; 21] = [
     "model",
 ];
 
+/// Options of a fit.
+const NOT_WITH_MODEL: [&str; 13] = [
+    "validate",
+    "train",
+    "order",
+    "na",
+    "nb",
+    "nk",
+    "select",
+    "estimator",
+    "reduce",
+    "match_dc",
+    "all_frequencies",
+    "bootstrap",
+    "repeats",
+];
+
 /// Arguments of `catoptra identify`. There are many: each has one line of help.
 #[derive(Debug, clap::Args)]
 #[command(hide_possible_values = true)]
@@ -145,7 +162,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "T[:SKIP]")]
     pub(super) repeats: Option<RepeatsArg>,
     /// Fit nothing: apply a model.json, H(s), or eq7 of the paper
-    #[arg(long, value_name = "FILE|eq7", conflicts_with_all = ["validate", "train", "order", "na", "nb", "nk", "select", "repeats"])]
+    #[arg(long, value_name = "FILE|eq7", conflicts_with_all = NOT_WITH_MODEL)]
     pub(super) model: Option<PathBuf>,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
@@ -330,7 +347,8 @@ impl Args {
         }
         let select = self.select;
         if !judged && matches!(select, Some(Select::Prediction | Select::Simulation)) {
-            let text = "--select: there are no data to judge by; give --validate or --test, or select by mdl or aic";
+            let text = "--select: there are no data to judge by; give --validate or --test with --train, or select by \
+                mdl or aic";
             return Err(Failure::usage(text));
         }
         let candidates = self.candidates(samples, delays)?;

@@ -8,7 +8,7 @@ use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay, Drift, Timing};
 use crate::identify::fit::InitialState;
-use crate::identify::grid::{Grid, Series, coarser, cut, resample};
+use crate::identify::grid::{Grid, GridError, Series, coarser, cut, resample};
 use crate::identify::hold::{Held, LongHold, stairs};
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
@@ -46,6 +46,12 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     if ranges && args.records.len() > 1 {
         return Err(Failure::usage("--train and --test take parts of one record; there are several"));
     }
+    if let (Some(Range { from, to }), None, false) = (args.test, args.train, applied) {
+        return Err(Failure::usage(format!(
+            "--test {from}:{to}: without --train all of the record is fitted, this part too, and fitted data cannot \
+             judge the model: add --train A:B"
+        )));
+    }
     let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(Failure::usage)?;
     let mut all = Vec::new();
     for (k, (file, table)) in files.into_iter().enumerate() {
@@ -69,10 +75,9 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
                     within(&record, range)?;
                     Ok((record.range(range.from, range.to, period_s), training))
                 };
-                let whole = Range { from: 0, to: record.span() };
-                let fitted = part(train.unwrap_or(whole), true)?;
+                let fitted = train.map(|train| part(train, true)).transpose()?;
                 let judged = test.map(|test| part(test, false)).transpose()?;
-                [Some(fitted), judged].into_iter().flatten().collect()
+                [fitted, judged].into_iter().flatten().collect()
             }
             (false, _, Some(test)) if applied => {
                 within(&record, test)?;
@@ -285,6 +290,11 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
              or the columns of a table with --input, --output and --period"
         )));
     }
+    if args.period.is_some() && !args.resample {
+        return Err(Failure::usage(format!(
+            "{name}: has the camera's times: leave --period out, or add --resample, for which it is the new one"
+        )));
+    }
     let Driven { recording, source, own_clock, currents, .. } = Driven::read(file, table)?;
     let mut observed = Observed::of(&recording).map_err(Failure::usage)?;
     let held = observed.commands(&source, &currents, args.coil).map_err(Failure::usage)?;
@@ -299,8 +309,8 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         let taken = if plant.is_some() { "Eq. 6 needs amperes" } else { "they are taken as amperes" };
         tracing::warn!("{source}: holds currents of up to {largest:.0} A: {taken}; are these mA?");
     }
-    if let Ok(grid) = observed.grid() {
-        warn_of_slow_log(&source, &held, grid.period_s);
+    if let Some((period_s, _)) = frame_period(args, &observed) {
+        warn_of_slow_log(&source, &held, period_s);
     }
     let largest_rad = observed.theta_rad.iter().flatten().fold(0.0, |largest: f64, theta| largest.max(theta.abs()));
     if largest_rad < LEAST_DEGREES.to_radians() {
@@ -397,6 +407,15 @@ fn without_drift(args: &Args, source: &str, held: Held, (drift, told): (Drift, b
     if fitted { held.drifted(drift.rate, middle_s) } else { held }
 }
 
+/// The usual time between frames, seconds, and whether they are uneven and resampled.
+fn frame_period(args: &Args, observed: &Observed) -> Option<(f64, bool)> {
+    match observed.grid() {
+        Ok(grid) => Some((grid.period_s, false)),
+        Err(GridError::Uneven { period_s, .. }) if args.resample => Some((period_s, true)),
+        Err(_) => None,
+    }
+}
+
 /// The apparent delay of the output, searched around the given one. `own_clock`: see [`delay::estimate`].
 fn apparent_delay(
     args: &Args,
@@ -405,7 +424,7 @@ fn apparent_delay(
     plant: Option<Plant>,
     own_clock: Option<f64>,
 ) -> Option<Delay> {
-    let period_s = observed.grid().ok()?.period_s;
+    let (period_s, uneven) = frame_period(args, observed)?;
     let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
     // All delays are judged by the same samples: those whose commands are known for every delay.
     let known_s = held.zero_before().span_s()?.0 + given_s + (delay::MAX_DELAY + 2.0) * period_s;
@@ -415,6 +434,7 @@ fn apparent_delay(
         let held = held.drifted(drift, own_clock.unwrap_or_default()).zero_before();
         let series = observed.series(&held, plant, given_s + delay_s).ok()?;
         let series = Series { fit_zero: args.fits_zero(), ..series };
+        let series = if uneven { resample(&series, Some(period_s)).ok()? } else { series };
         let grid = Grid::of(&series.name, &series.time_s).ok()?;
         let (record, _) = cut(&series, &grid, args.bridge);
         let mut segments = record.segments;
@@ -486,12 +506,18 @@ fn provenance(args: &Args, records: Vec<RecordSummary>) -> Provenance {
     if let Some(repeats) = &args.repeats {
         set("repeats", repeats.words());
     }
-    set("estimator", format!("{:?}", args.estimator).to_lowercase());
+    // An applied model is not fitted.
+    let fitted = args.model.is_none();
+    if fitted {
+        set("estimator", format!("{:?}", args.estimator).to_lowercase());
+    }
     set("zero", if args.fits_zero() { "fitted" } else { "exact" }.to_owned());
     set("start", format!("{:?}", args.start).to_lowercase());
-    set("reduction", if args.match_dc { "match DC" } else { "truncation" }.to_owned());
-    set("reduced for", if args.all_frequencies { "all frequencies" } else { "the excited band" }.to_owned());
-    set("bootstrap", args.bootstrap.to_string());
+    if fitted {
+        set("reduction", if args.match_dc { "match DC" } else { "truncation" }.to_owned());
+        set("reduced for", if args.all_frequencies { "all frequencies" } else { "the excited band" }.to_owned());
+        set("bootstrap", args.bootstrap.to_string());
+    }
     set(
         "delay",
         match args.delay {
