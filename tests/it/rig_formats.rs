@@ -364,9 +364,42 @@ fn a_camera_goes_out_and_comes_in_again() {
         assert!(draft.provenance["camera"]["inputs_sha256"].get(format).is_some());
         let shown = said(&catoptra(&["rig", "export", &out, "--format", format])).1;
         assert_eq!(shown, std::fs::read_to_string(&file).unwrap());
+        // The same again.
+        assert_eq!(said(&catoptra(&["rig", "export", DEV_TANK, "--format", format, "-o", &file])).0, Some(0));
     }
     let (code, _, stderr) = said(&catoptra(&["-q", "rig", "import", &place("ros"), "--out", &place("quiet.toml")]));
     assert_eq!((code, stderr.as_str()), (Some(0), ""));
+}
+
+/// One that was exported before is replaced.
+#[test]
+fn an_export_does_not_replace_the_file_of_a_tool() {
+    let folder = tempfile::tempdir().unwrap();
+    let air = folder.path().join("air.toml");
+    std::fs::write(&air, RIG).unwrap();
+    let air = air.to_str().unwrap();
+    let file = folder.path().join("camera");
+    let export = |rig: &str, format: &str| {
+        let out = file.to_str().unwrap();
+        let (code, _, stderr) = said(&catoptra(&["rig", "export", rig, "--format", format, "-o", out]));
+        (code, stderr)
+    };
+    for name in ["opencv4.yml", "opencv_tutorial.yml", "ros.yaml", "ros_echo.yaml", "kalibr.yaml"] {
+        std::fs::copy(sample(name), &file).unwrap();
+        let (code, stderr) = export(DEV_TANK, "opencv");
+        assert!(code == Some(2) && stderr.contains("exists and is not an export of this command"), "{name}: {stderr}");
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), sample_text(name));
+    }
+    std::fs::remove_file(&file).unwrap();
+    let dlt = RIG.replace("path = [\"front_wall\"]", "path = []");
+    let views = folder.path().join("views.toml");
+    std::fs::write(&views, dlt).unwrap();
+    for (rig, format) in
+        [(DEV_TANK, "opencv"), (air, "opencv"), (air, "ros"), (views.to_str().unwrap(), "dlt"), (air, "kalibr")]
+    {
+        let (code, stderr) = export(rig, format);
+        assert_eq!(code, Some(0), "{format}: {stderr}");
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ use super::{Failure, output};
 use crate::plural::plural;
 use crate::rig::Draft;
 use crate::rig::formats::{Format, dlt};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum ExportFormat {
@@ -69,6 +69,7 @@ pub(super) fn run(
             if same(out, &args.rig) {
                 return Err(Failure::usage(format!("{} is the rig itself; give another -o", out.display())));
             }
+            output::is_free(out, |old| old == text || is_own(old), "an export of this command")?;
             output::save(out, &text)?;
             print(&format!("written: {}, {}\n", out.display(), described(&rig, format, view)))?;
         }
@@ -78,6 +79,23 @@ pub(super) fn run(
         note(&said);
     }
     Ok(())
+}
+
+/// Whether a text is written as here: what is read from it would be written like this again. The files of OpenCV, ROS
+/// and DLTdv are not; of Kalibr's that is not certain.
+fn is_own(text: &str) -> bool {
+    let name = Path::new("");
+    let again = |format: Format| {
+        let camera = format.read(text, name)?;
+        format.write(&Draft::of_camera(camera), None, name)
+    };
+    let format = Format::guess(text, name).ok().filter(|format| *format != Format::Kalibr);
+    let row = |line: &str| {
+        let same = |cell: &str| cell.parse::<f64>().is_ok_and(|number| format!("{number:e}") == cell);
+        line.split(',').all(same)
+    };
+    format.is_some_and(|format| again(format).is_ok_and(|again| again == text))
+        || (text.lines().count() == 11 && text.lines().all(row))
 }
 
 /// Content of a file, in words.
@@ -110,6 +128,6 @@ fn frame(rig: &Draft, view: Option<&str>, first: u8) -> String {
     )
 }
 
-fn same(a: &std::path::Path, b: &std::path::Path) -> bool {
+fn same(a: &Path, b: &Path) -> bool {
     a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }
