@@ -1,6 +1,7 @@
 //! `catoptra excite`: a table of coil currents, and its spectrum.
 
 use super::output::{is_free, is_free_for_page, save};
+use super::results::whole_path;
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
 use super::{Failure, interrupt, output, provenance};
 use crate::digits::fixed;
@@ -11,6 +12,7 @@ use crate::excite::{
 use crate::report::excitation::{self, ExcitationInfo};
 use crate::series::{CurrentTable, play};
 use crate::source::FrameRate;
+use crate::source::current_columns::{CurrentColumns, is_time};
 use clap::{Subcommand, ValueEnum};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -187,7 +189,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         Command::Multisine(args) => (&args.common, args.made().map_err(Failure::usage)?),
         Command::Steps(args) => (&args.common, args.made().map_err(Failure::usage)?),
     };
-    common.check_names()?;
+    check_coils(&common.coils)?;
     let page = common.report.as_ref().map(|file| file.clone().unwrap_or_else(|| common.out.with_extension("html")));
     let channels = common.channels(&made.signal)?;
     let is_own = |text: &str| match channels {
@@ -196,6 +198,10 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     };
     is_free(&common.out, is_own, "a table of this command")?;
     if let Some(page) = &page {
+        if whole_path(page) == whole_path(&common.out) {
+            let text = format!("{}: table and page have the same name; give --report=FILE.html", page.display());
+            return Err(Failure::usage(text));
+        }
         is_free_for_page(page)?;
     }
     let spectrum = Spectrum::of(&made.signal);
@@ -229,18 +235,6 @@ impl Common {
             return Ok(self.limits().clip(signal));
         }
         self.limits().check(signal).map(|()| Vec::new())
-    }
-
-    fn check_names(&self) -> Result<(), Failure> {
-        let mut names: Vec<&str> = self.coils.iter().map(String::as_str).chain(["t_s"]).collect();
-        names.sort_unstable();
-        let twice = names.windows(2).any(|pair| matches!(pair, [a, b] if a == b));
-        let odd = |name: &&str| name.is_empty() || name.contains([',', '"', '\n', '\r']) || *name != name.trim();
-        if twice || names.iter().any(odd) {
-            let text = "--coils: names of columns, all different and not t_s, such as axial_a,side_a";
-            return Err(Failure::usage(text));
-        }
-        Ok(())
     }
 
     /// For a list of the amplifier: the channel of each coil, `channel_3` by its number, others by their place.
@@ -279,6 +273,25 @@ impl Common {
         let settings = settings.into_iter().chain(self.settings()).collect();
         ExcitationInfo { table: self.out.display().to_string(), kind: kind.to_owned(), band_hz, settings }
     }
+}
+
+/// Refuses names of coils that are no names of columns, or that would not be read back as coils from a table with t_s.
+pub(super) fn check_coils(coils: &[String]) -> Result<(), Failure> {
+    let names: Vec<&str> = ["t_s"].into_iter().chain(coils.iter().map(String::as_str)).collect();
+    let mut sorted = names.clone();
+    sorted.sort_unstable();
+    let twice = sorted.windows(2).any(|pair| matches!(pair, [a, b] if a == b));
+    let odd = |name: &&str| name.is_empty() || name.contains([',', '"', '\n', '\r']) || *name != name.trim();
+    if twice || names.iter().any(odd) {
+        let text = "--coils: names of columns, all different and not t_s, such as axial_a,side_a";
+        return Err(Failure::usage(text));
+    }
+    if let Some(time) = coils.iter().find(|name| is_time(name)) {
+        let text = format!("--coils: {time} is read as a time; give another name, such as axial_a");
+        return Err(Failure::usage(text));
+    }
+    CurrentColumns::of(&names).map_err(|problem| Failure::usage(format!("--coils: {problem}")))?;
+    Ok(())
 }
 
 /// The signal as a list of the amplifier, in the first of `channels`.

@@ -55,6 +55,12 @@ fn limits_are_kept_by_refusing_or_by_cutting_off() {
     refused(&["chirp", "--to", "31Hz"], "stay below 30 Hz");
     refused(&["chirp", "--amplitude", "100"], "`100` has no unit: write 100mA");
     refused(&["chirp", "--coils", "a,a"], "--coils: names of columns, all different");
+    // Its readers take these for something else.
+    refused(&["chirp", "--coils", "coil_mA"], "--coils: column `coil_mA` is in milliamperes");
+    for time in ["host_ns", "unix_s", "stamp_ns"] {
+        refused(&["chirp", "--coils", &format!("a,{time}")], &format!("--coils: {time} is read as a time"));
+    }
+    refused(&["chirp", "--report=i.csv"], "i.csv: table and page have the same name");
 
     let (table, message) = made(folder.path(), &["chirp", "--amplitude", "150mA", "--slew", "3A/s", "--clip"]);
     assert!(message.contains("limit of current: ") && message.contains("limit of slew: "), "{message}");
