@@ -33,9 +33,12 @@ pub(super) fn is_free(path: &Path, is_kind: impl Fn(&str) -> bool, kind: &str) -
     Ok(())
 }
 
+/// How each page of this program begins.
+pub(super) const PAGE: &str = "<!doctype html>";
+
 /// The same for a page of this program.
 pub(super) fn is_free_for_page(path: &Path) -> Result<(), Failure> {
-    is_free(path, |text| text.starts_with("<!doctype html>"), "a page")
+    is_free(path, |text| text.starts_with(PAGE), "a page")
 }
 
 /// Writes a file in one step.

@@ -58,6 +58,62 @@ fn currents_for_a_path_come_as_tables_and_lists_that_say_the_same() {
     assert!(String::from_utf8_lossy(&refused.stderr).contains("notes.txt, which this command did not write"));
 }
 
+fn refused(folder: &Path, args: &[&str], words: &str) {
+    let output = catheter(folder, args);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{args:?}: {message}");
+    assert!(message.contains(words), "`{words}` is not in {message}");
+}
+
+#[test]
+fn what_is_read_or_was_written_by_others_is_not_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let sample = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_dynamics").join(name);
+    let input = "is an input of this run and would be overwritten";
+    fs::create_dir(at("fit")).unwrap();
+    fs::copy(sample("catheter.toml"), at("fit/catheter.toml")).unwrap();
+    let fit = ["fit", "run.csv", "--currents", "i.csv", "-o", "fit"];
+    refused(folder.path(), &[&fit[..], &["--catheter", "fit/catheter.toml"]].concat(), input);
+    refused(folder.path(), &fit, "has catheter.toml, which this command did not write");
+    assert_eq!(fs::read(at("fit/catheter.toml")).unwrap(), fs::read(sample("catheter.toml")).unwrap());
+
+    let follow = ["follow", "circle", "--points", "3", "--periods", "1", "--pause", "20ms", "-o", "circle"];
+    stdout(&catheter(folder.path(), &follow));
+    let desired = fs::read(at("circle/desired.csv")).unwrap();
+    refused(folder.path(), &["follow", "circle/desired.csv", "-o", "circle"], input);
+    let other = "has currents_20ms.";
+    refused(folder.path(), &["follow", "circle", "--points", "3", "--pause", "100ms", "-o", "circle"], other);
+    refused(folder.path(), &["follow", "circle", "--points", "3", "--pause", "100ms", "-o", "circle"], "these options");
+    assert_eq!(fs::read(at("circle/desired.csv")).unwrap(), desired);
+    fs::write(at("circle/desired.csv"), "x_mm,y_mm\n1,2\n").unwrap();
+    refused(folder.path(), &follow, "has desired.csv, which this command did not write");
+
+    fs::write(at("i.csv"), "t_s,x_a,y_a,z_a\n0,0,0,0.01\n").unwrap();
+    let run = ["run", "i.csv", "--rate", "10Hz", "--duration", "300ms", "-o", "run.csv"];
+    for _ in 0..2 {
+        stdout(&catheter(folder.path(), &run));
+    }
+    let table = fs::read_to_string(at("run.csv")).unwrap();
+    let measured = table.replacen(",,ok", ",0.031415,ok", 1);
+    assert_ne!(table, measured);
+    fs::write(at("run.csv"), &measured).unwrap();
+    refused(folder.path(), &run, "exists and is not a table of this command");
+    assert_eq!(fs::read_to_string(at("run.csv")).unwrap(), measured);
+}
+
+/// Times of a clock do not count from a start.
+#[test]
+fn a_start_that_would_not_be_used_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = format!("{}/sample_dynamics/catheter_run.csv", env!("CARGO_MANIFEST_DIR"));
+    fs::write(folder.path().join("i.csv"), "stamp_ns,x_a,y_a,z_a\n0,0,0,0.01\n").unwrap();
+    let fit = ["fit", &run, "--start", "2s", "-o", "out"];
+    for currents in [&[][..], &["--currents", "i.csv"]] {
+        refused(folder.path(), &[&fit[..], currents].concat(), "--start: is for tables whose times count from a start");
+    }
+}
+
 #[test]
 fn the_reach_is_a_surface() {
     let folder = tempfile::tempdir().unwrap();
@@ -172,6 +228,8 @@ fn what_cannot_be_is_refused_with_what_would_be_right() {
         (&["shape", "--currents", "0mA,0mA,1mA", "--catheter", "c.toml"], 2, "missing field"),
         (&["follow", "none.csv", "-o", "out"], 2, "is neither circle nor lemniscate, and no such file"),
         (&["follow", "circle", "--radius", "0mm", "-o", "out"], 2, "is no length above 0"),
+        (&["follow", "circle", "--pause", "0.5ms", "-o", "out"], 2, "--pause: at least 1ms"),
+        (&["follow", "circle", "--coils", "x,y,host_ns", "-o", "out"], 2, "host_ns is read as a time"),
     ] {
         let output = catheter(folder.path(), args);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();

@@ -1,6 +1,6 @@
 //! `catoptra catheter fit`: the catheter's parameters from tracked runs.
 
-use super::super::output::save;
+use super::super::output::{PAGE, save};
 use super::super::results::unfinished;
 use super::super::units::{duration_s, seconds_ns};
 use super::super::{Exit, Failure, output, provenance};
@@ -13,7 +13,7 @@ use crate::catheter::{
 use crate::digits::fixed;
 use crate::plural::plural;
 use crate::report::catheter_fit;
-use crate::series::{CurrentTable, Recording};
+use crate::series::{CurrentClock, CurrentTable, Recording};
 use crate::source::times::seconds;
 use nalgebra::Vector3;
 use std::fmt::Write as _;
@@ -21,7 +21,9 @@ use std::path::{Path, PathBuf};
 
 /// The last command is held for longer than seems meant: over so many times the longest of the others, and seconds.
 const HELD_TOO_LONG: (f64, f64) = (5.0, 1.0);
-const FILES: [&str; 3] = ["catheter.toml", "fit.csv", "fit.html"];
+/// What is written, and how it begins: a catheter's file that somebody wrote is not replaced.
+const FILES: [(&str, &str); 3] =
+    [("catheter.toml", "# Fitted to "), ("fit.csv", "parameter,unit,value,sd,"), ("fit.html", PAGE)];
 
 #[derive(Debug, clap::Args)]
 pub(super) struct FitArgs {
@@ -81,7 +83,11 @@ impl FitArgs {
                 return Err(Failure::usage(format!("{flag}: {tables} for {runs}; give one for each, in their order")));
             }
         }
-        prepare(&self.out, &FILES)?;
+        let inputs = [&self.runs, &self.currents, &self.validate, &self.validate_currents].into_iter().flatten();
+        let files = [&self.rig, &self.common.catheter].into_iter().flatten();
+        let inputs: Vec<&Path> = inputs.chain(files).map(PathBuf::as_path).collect();
+        prepare(&self.out, &FILES, &inputs)?;
+        self.check_start()?;
         let seen = |files: &[PathBuf]| -> Result<Vec<Option<Seen>>, Failure> {
             files.iter().map(|file| Seen::by(file, self.rig.as_deref())).collect()
         };
@@ -139,6 +145,20 @@ impl FitArgs {
         if quiet { Ok(()) } else { output::print(&self.summary(&result, &own, &other)) }
     }
 
+    /// Refuses a start where no times are counted from one.
+    fn check_start(&self) -> Result<(), Failure> {
+        let mut unused = self.start.is_some();
+        for file in self.currents.iter().chain(&self.validate_currents) {
+            unused = unused && CurrentTable::read(file)?.clock != CurrentClock::Start;
+        }
+        if unused {
+            let text = "--start: is for tables whose times count from a start (t_s) and for lists; the currents here \
+                        have times of a clock: leave it out";
+            return Err(Failure::usage(text));
+        }
+        Ok(())
+    }
+
     fn heading(&self, name: &str) -> String {
         let runs: Vec<String> = self.runs.iter().map(|run| run.display().to_string()).collect();
         format!("Fitted to {}; what is not fitted is that of {name}.", runs.join(", "))
@@ -189,7 +209,7 @@ impl FitArgs {
                 self.columns.of(&names).map_err(|why| wrong(&why))?
             }
         };
-        commands.dedup_by_key(|(ns, _)| *ns);
+        let commands = in_order(commands);
         let (Some(first), Some(frame)) = (commands.first().map(|c| c.0), recording.frames.first()) else {
             return Err(wrong("has no frame, or no current"));
         };
@@ -258,9 +278,22 @@ impl FitArgs {
             let (tip, coil, theta) = (check.tip_rms_m * 1e3, check.coil_rms_m * 1e3, check.theta_rms_rad.to_degrees());
             let _ = writeln!(text, "  {word:<10} {tip:.3} mm  {coil:.3} mm  {theta:.3}°  {}", check.name);
         }
-        let _ = writeln!(text, "\nwritten: {} in {}", FILES.join(", "), self.out.display());
+        let _ = writeln!(text, "\nwritten: {} in {}", FILES.map(|(name, _)| name).join(", "), self.out.display());
         text
     }
+}
+
+/// Commands by their times; of several at the same time the last counts.
+fn in_order(mut commands: Vec<(i64, Vec<f64>)>) -> Vec<(i64, Vec<f64>)> {
+    commands.sort_by_key(|(ns, _)| *ns);
+    commands.dedup_by(|later, kept| {
+        let same = later.0 == kept.0;
+        if same {
+            std::mem::swap(later, kept);
+        }
+        same
+    });
+    commands
 }
 
 /// A warning when the last command is held for much longer than all others: probably the table ends before the run.
@@ -307,6 +340,12 @@ fn values(fit: &Fit) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn commands_are_in_order_and_the_last_of_a_time_counts() {
+        let commands = [(3, 0.3), (1, 0.1), (2, 0.2), (1, 0.4), (3, 0.5), (3, 0.0)].map(|(ns, a)| (ns, vec![a]));
+        assert_eq!(in_order(commands.to_vec()), [(1, 0.4), (2, 0.2), (3, 0.0)].map(|(ns, a)| (ns, vec![a])));
+    }
 
     #[test]
     fn a_table_that_ends_before_its_run_is_told() {

@@ -6,7 +6,9 @@ mod run;
 
 pub(super) use run::Columns;
 
-use super::output::{is_free_for_page, save};
+use super::excite::check_coils;
+use super::output::{PAGE, is_free_for_page, save};
+use super::results::refuse_to_overwrite_inputs;
 use super::units::{current_a, duration_s};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::length_m;
@@ -19,10 +21,18 @@ use clap::Subcommand;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::{ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 
 /// Up to this size circles were found to have the linearised response (docs/catheter.md).
 const SMALL_M: f64 = 0.5e-3;
+/// Shortest pause: the amplifier's delays are whole milliseconds.
+const SHORTEST_PAUSE_S: f64 = 1e-3;
+/// The headers of tables.
+const REACHED: &str = "x_a,y_a,z_a,tip_x_mm,tip_y_mm,tip_z_mm,tan_x,tan_y,tan_z,theta_deg\r\n";
+const DESIRED: &str = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\r\n";
+const RESPONSE: &str = "pause_ms,frequency_hz,magnitude_db,phase_deg\r\n";
 
 /// Arguments of `catoptra catheter`.
 #[derive(Debug, clap::Args)]
@@ -219,9 +229,9 @@ impl ShapeArgs {
 impl ReachArgs {
     fn run(&self) -> Result<(), Failure> {
         let (name, catheter) = self.common.load()?;
-        let names = ["reach.csv", "reach.html"];
+        let files = [("reach.csv", REACHED), ("reach.html", PAGE)];
         if let Some(out) = &self.out {
-            prepare(out, &names)?;
+            prepare(out, &files, self.common.catheter.as_deref().as_slice())?;
         }
         let found = reach(&catheter, usize::from(self.steps)).map_err(failure)?;
         let (low, high) = found.theta_rad();
@@ -245,7 +255,7 @@ impl ReachArgs {
             );
         }
         if let Some(out) = &self.out {
-            let mut csv = "x_a,y_a,z_a,tip_x_mm,tip_y_mm,tip_z_mm,tan_x,tan_y,tan_z,theta_deg\r\n".to_owned();
+            let mut csv = REACHED.to_owned();
             for r in &found.reached {
                 let (i, p, t) = (r.currents_a, r.tip * 1e3, r.tangent);
                 let _ = write!(csv, "{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},", i.x, i.y, i.z, p.x, p.y, p.z);
@@ -253,7 +263,7 @@ impl ReachArgs {
             }
             save(&out.join("reach.csv"), &csv)?;
             save(&out.join("reach.html"), &pages::reach_page(&name, &catheter, &found))?;
-            let _ = writeln!(text, "\nwritten: {} in {}", names.join(", "), out.display());
+            let _ = writeln!(text, "\nwritten: {} in {}", files.map(|(name, _)| name).join(", "), out.display());
         }
         output::print(&text)
     }
@@ -266,10 +276,19 @@ impl FollowArgs {
             let text = format!("--coils: {} names, expected three", self.coils.len());
             return Err(Failure::usage(text));
         };
+        check_coils(&self.coils)?;
+        if self.pause.iter().any(|pause_s| *pause_s < SHORTEST_PAUSE_S) {
+            return Err(Failure::usage("--pause: at least 1ms, the amplifier's delays are whole milliseconds"));
+        }
         let tables: Vec<(f64, String)> = self.pause.iter().map(|s| (*s, format!("currents_{}ms", s * 1e3))).collect();
-        let mut names = ["desired.csv", "response.csv", "follow.html"].map(str::to_owned).to_vec();
-        names.extend(tables.iter().flat_map(|(_, table)| [format!("{table}.csv"), format!("{table}.play")]));
-        prepare(&self.out, &names)?;
+        let files = [("desired.csv", DESIRED), ("response.csv", RESPONSE), ("follow.html", PAGE)];
+        let mut files = files.map(|(name, begins)| (name.to_owned(), begins)).to_vec();
+        // A list does not say who wrote it; the table beside it does.
+        for (_, table) in &tables {
+            files.extend([(format!("{table}.csv"), "t_s,"), (format!("{table}.play"), "")]);
+        }
+        let inputs: Vec<&Path> = self.common.catheter.as_deref().into_iter().chain([Path::new(&self.path)]).collect();
+        prepare(&self.out, &files, &inputs)?;
         let targets = self.targets(catheter.origin_m())?;
         let followed = follow(&catheter, &targets).map_err(failure)?;
         save(&self.out.join("desired.csv"), &desired(&followed, catheter.origin_m()))?;
@@ -283,7 +302,7 @@ impl FollowArgs {
             let list = play::write(rows.iter().map(|(time_ns, i)| (*time_ns, i.as_slice())));
             save(&self.out.join(format!("{table}.play")), &list)?;
         }
-        let mut csv = "pause_ms,frequency_hz,magnitude_db,phase_deg\r\n".to_owned();
+        let mut csv = RESPONSE.to_owned();
         let harmonics = harmonics(&catheter, &followed, &self.pause).unwrap_or_else(|why| {
             tracing::warn!("response.csv is empty: about the mean of the path's currents {why}");
             Vec::new()
@@ -326,6 +345,7 @@ impl FollowArgs {
                  differ"
             );
         }
+        let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
         let _ = writeln!(text, "\nwritten: {} in {}", names.join(", "), self.out.display());
         output::print(&text)
     }
@@ -394,7 +414,7 @@ fn size_m(followed: &[Followed]) -> f64 {
 
 /// One period of what the tip does, counted from so far from the clamp: the desired path of `validate`.
 fn desired(followed: &[Followed], origin_m: f64) -> String {
-    let mut text = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\r\n".to_owned();
+    let mut text = DESIRED.to_owned();
     for Followed { shape, .. } in followed {
         let (p, t) = ((shape.tip - Vector3::z() * origin_m) * 1e3, shape.tangent);
         let _ = write!(text, "{:.6},{:.6},{:.6},{:.8},{:.8},{:.8}\r\n", p.x, p.y, p.z, t.x, t.y, t.z);
@@ -402,20 +422,36 @@ fn desired(followed: &[Followed], origin_m: f64) -> String {
     text
 }
 
-/// Makes the folder; refuses one that has other files than those of this command.
-fn prepare(folder: &Path, own: &[impl AsRef<str>]) -> Result<(), Failure> {
+/// Makes the folder; refuses one that has other files than those of this command, or something that is read. `own`: the
+/// names of its files, and how they begin.
+fn prepare(folder: &Path, own: &[(impl AsRef<str>, &str)], inputs: &[&Path]) -> Result<(), Failure> {
     let refused = |what: String| Failure::usage(format!("{}: {what}", folder.display()));
+    let failed = |e: std::io::Error| Failure::new(Exit::Failed, format!("{}: {e}", folder.display()));
     if folder.exists() && !folder.is_dir() {
         return Err(refused("is a file; give the name of a folder".to_owned()));
     }
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+    let places: Vec<PathBuf> = own.iter().map(|(name, _)| folder.join(name.as_ref())).collect();
+    refuse_to_overwrite_inputs(places.iter().map(PathBuf::as_path), inputs)?;
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries.collect::<Result<Vec<_>, _>>().map_err(failed)?,
+        Err(e) if e.kind() == ErrorKind::NotFound => Vec::new(),
+        Err(e) => return Err(failed(e)),
+    };
+    for entry in entries {
         let name = entry.file_name();
-        if !own.iter().any(|own| name == own.as_ref()) {
+        if !own.iter().any(|(own, begins)| name == own.as_ref() && begins_with(&entry.path(), begins)) {
             return Err(refused(format!(
-                "has {}, which this command did not write; give another folder",
+                "has {}, which this command did not write, or not with these options; give another folder",
                 name.display()
             )));
         }
     }
-    std::fs::create_dir_all(folder).map_err(|e| Failure::new(Exit::Failed, format!("{}: {e}", folder.display())))
+    fs::create_dir_all(folder).map_err(failed)
+}
+
+/// Whether a file begins so, or is empty.
+fn begins_with(file: &Path, text: &str) -> bool {
+    let mut beginning = Vec::new();
+    let read = File::open(file).and_then(|file| file.take(text.len() as u64).read_to_end(&mut beginning));
+    read.is_ok() && (beginning.is_empty() || beginning == text.as_bytes())
 }

@@ -16,6 +16,11 @@ use std::path::{Path, PathBuf};
 
 /// Most frames: an hour at a thousand per second.
 const MAX_FRAMES: f64 = 3.6e6;
+/// Its markers, and what is said of all of them in a frame in which nothing is seen.
+const MARKERS: [&str; 3] = ["base", "coil", "tip"];
+const NOT_SEEN: &str = "not_seen_direct";
+/// σ of tables that tell the truth of a simulated recording.
+const EXACT: &str = "0.000000";
 
 #[derive(Debug, clap::Args)]
 pub(super) struct RunArgs {
@@ -117,8 +122,7 @@ impl Columns {
 
 impl RunArgs {
     pub(super) fn run(&self, quiet: bool) -> Result<(), Failure> {
-        let begins = format!("{},", table::FIRST.join(","));
-        is_free(&self.out, |text| text.starts_with(&begins), "a table of a run")?;
+        is_free(&self.out, is_own_table, "a table of this command")?;
         let tip_n = match *self.tip_force_mn.as_slice() {
             [] => Vector3::zeros(),
             [x, y, z] if [x, y, z].iter().all(|v| v.is_finite()) => Vector3::new(x, y, z) / 1e3,
@@ -169,7 +173,7 @@ impl RunArgs {
 /// The table of a tracked run, with its origin so far from the clamp.
 fn rows(moments: &[Moment], sightings: &[Sighting], noise: Noise, origin_m: f64) -> String {
     let origin = Vector3::z() * origin_m;
-    let mut text = table::header(["base", "coil", "tip"].into_iter(), false).join(",") + "\r\n";
+    let mut text = table::header(MARKERS.into_iter(), false).join(",") + "\r\n";
     let sd = |value: f64| if value > 0.0 { format!("{value:.6}") } else { String::new() };
     let (point_sd, angle_sd) = (sd(noise.point_m * 1e3), sd(noise.angle_rad.to_degrees()));
     for (k, (moment, at)) in moments.iter().zip(sightings).enumerate() {
@@ -189,7 +193,9 @@ fn rows(moments: &[Moment], sightings: &[Sighting], noise: Noise, origin_m: f64)
                 Some(p) => {
                     let _ = write!(text, ",{:.6},{:.6},{:.6},{point_sd},ok", p.x * 1e3, p.y * 1e3, p.z * 1e3);
                 }
-                None => text += ",,,,,not_seen_direct",
+                None => {
+                    let _ = write!(text, ",,,,,{NOT_SEEN}");
+                }
             }
         }
         match at.tangent {
@@ -203,6 +209,33 @@ fn rows(moments: &[Moment], sightings: &[Sighting], noise: Noise, origin_m: f64)
     text
 }
 
+/// Whether a text is written like [`rows`]. Its header says little: tables of tracked runs have it as well, and must
+/// not be replaced. Their σ differ from place to place; here all are the noise that was asked for, or there are none.
+fn is_own_table(text: &str) -> bool {
+    let header = table::header(MARKERS.into_iter(), false);
+    let mut lines = text.split_terminator("\r\n");
+    let headed = lines.next().is_some_and(|line| line.split(',').eq(header.iter().map(String::as_str)));
+    let mut stated: Option<[&str; 2]> = None;
+    let rows = lines.zip(0_u64..).all(|(line, k)| {
+        let cells: Vec<&str> = line.split(',').collect();
+        // The only content of all columns whose names end so.
+        let all = |ending: &str| {
+            let named = header.iter().zip(&cells).filter(|(name, _)| name.ends_with(ending));
+            let mut found: Vec<&str> = named.map(|(_, cell)| *cell).collect();
+            found.dedup();
+            if let [only] = found.as_slice() { Some(*only) } else { None }
+        };
+        let ours = match (all(table::PLACE_STATUS), all(table::PLACE_SD_MM), all("sd_deg")) {
+            (Some("ok"), Some(mm), Some(deg)) => {
+                mm != EXACT && deg != EXACT && *stated.get_or_insert([mm, deg]) == [mm, deg]
+            }
+            (status, mm, deg) => (status, mm, deg) == (Some(NOT_SEEN), Some(""), Some("")),
+        };
+        ours && cells.len() == header.len() && cells.first().is_some_and(|seq| seq.parse() == Ok(k))
+    });
+    headed && rows && stated.is_some()
+}
+
 fn summary(name: &str, moments: &[Moment], rate: f64, out: &Path) -> String {
     let theta = moments.iter().map(|m| m.theta_rad().to_degrees());
     let (low, high) = theta.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
@@ -214,4 +247,35 @@ fn summary(name: &str, moments: &[Moment], rate: f64, out: &Path) -> String {
         fastest * 1e3,
         out.display()
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn its_own_tables_are_told_from_those_of_tracked_runs() {
+        let catheter = Catheter::prototype();
+        let commands = Commands::new(&catheter, [(0.05, Vector3::new(0.0, 0.0, 0.05))]).unwrap();
+        let times_s = (0..4).map(|k| f64::from(k) / 10.0);
+        let moments = record(&catheter, &commands, Vector3::zeros(), times_s, Accuracy::default()).unwrap();
+        let of = |noise: Noise| rows(&moments, &seen(&moments, noise, 1), noise, 0.0);
+        let noise = Noise { point_m: 4e-5, angle_rad: 0.003, missing: 0.3 };
+        let own = of(noise);
+        assert!(is_own_table(&own) && is_own_table(&of(Noise::NONE)), "{own}");
+        let sd = "0.040000";
+        assert!(own.contains(sd));
+        // Tracked, the truth of a simulated recording, with frames left out, a header alone, with nothing seen.
+        let line = |k: usize| own.split_inclusive("\r\n").nth(k).unwrap();
+        let others = [
+            own.replacen(sd, "0.040001", 1),
+            own.replace(sd, EXACT),
+            line(0).to_owned() + line(2),
+            line(0).to_owned(),
+            of(Noise { missing: 1.0, ..noise }),
+        ];
+        for other in others {
+            assert!(!is_own_table(&other), "{other}");
+        }
+    }
 }
