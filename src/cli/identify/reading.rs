@@ -309,8 +309,17 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         let taken = if plant.is_some() { "Eq. 6 needs amperes" } else { "they are taken as amperes" };
         tracing::warn!("{source}: holds currents of up to {largest:.0} A: {taken}; are these mA?");
     }
-    if let Some((period_s, _)) = frame_period(args, &observed) {
-        warn_of_slow_log(&source, &held, period_s);
+    match observed.grid() {
+        Ok(grid) => warn_of_slow_log(&source, &held, grid.period_s),
+        Err(GridError::Uneven { period_s, .. }) if args.resample => {
+            warn_of_slow_log(&source, &held, period_s);
+            // Between interpolated angles a delay would be off by milliseconds, many times its σ.
+            tracing::warn!(
+                "{name}: frames are not evenly spaced, from which neither the delay between commands and output, nor a \
+                 drift of the currents' clock, nor the zero of θ is estimated: that they are right is not checked"
+            );
+        }
+        Err(_) => {}
     }
     let largest_rad = observed.theta_rad.iter().flatten().fold(0.0, |largest: f64, theta| largest.max(theta.abs()));
     if largest_rad < LEAST_DEGREES.to_radians() {
@@ -407,15 +416,6 @@ fn without_drift(args: &Args, source: &str, held: Held, (drift, told): (Drift, b
     if fitted { held.drifted(drift.rate, middle_s) } else { held }
 }
 
-/// The usual time between frames, seconds, and whether they are uneven and resampled.
-fn frame_period(args: &Args, observed: &Observed) -> Option<(f64, bool)> {
-    match observed.grid() {
-        Ok(grid) => Some((grid.period_s, false)),
-        Err(GridError::Uneven { period_s, .. }) if args.resample => Some((period_s, true)),
-        Err(_) => None,
-    }
-}
-
 /// The apparent delay of the output, searched around the given one. `own_clock`: see [`delay::estimate`].
 fn apparent_delay(
     args: &Args,
@@ -424,7 +424,7 @@ fn apparent_delay(
     plant: Option<Plant>,
     own_clock: Option<f64>,
 ) -> Option<Delay> {
-    let (period_s, uneven) = frame_period(args, observed)?;
+    let period_s = observed.grid().ok()?.period_s;
     let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
     // All delays are judged by the same samples: those whose commands are known for every delay.
     let known_s = held.zero_before().span_s()?.0 + given_s + (delay::MAX_DELAY + 2.0) * period_s;
@@ -434,7 +434,6 @@ fn apparent_delay(
         let held = held.drifted(drift, own_clock.unwrap_or_default()).zero_before();
         let series = observed.series(&held, plant, given_s + delay_s).ok()?;
         let series = Series { fit_zero: args.fits_zero(), ..series };
-        let series = if uneven { resample(&series, Some(period_s)).ok()? } else { series };
         let grid = Grid::of(&series.name, &series.time_s).ok()?;
         let (record, _) = cut(&series, &grid, args.bridge);
         let mut segments = record.segments;
