@@ -165,14 +165,17 @@ pub(super) struct Reads {
     pub(super) damaged: bool,
     /// Whether it interleaves the rows of two pictures.
     pub(super) interlaced: bool,
+    /// Whether it is known to be as a camera or a coder gave it.
+    pub(super) as_given: bool,
     pub(super) read: Mutex<Vec<Window>>,
 }
 
 impl Clone for Reads {
     /// Of a copy nothing was read yet.
     fn clone(&self) -> Self {
-        let Self { there, damaged, interlaced, read: _ } = self;
-        Self { there: there.clone(), damaged: *damaged, interlaced: *interlaced, read: Mutex::default() }
+        let Self { there, damaged, interlaced, as_given, read: _ } = self;
+        let (there, read) = (there.clone(), Mutex::default());
+        Self { there, damaged: *damaged, interlaced: *interlaced, as_given: *as_given, read }
     }
 }
 
@@ -345,7 +348,7 @@ impl Picture {
     pub(crate) fn from_decoded(frame: ffmpeg_the_third::frame::Video, format: PixelFormat, colour: Colour) -> Self {
         let (width, height) = (frame.width(), frame.height());
         let storage = Arc::new(Storage::Decoded(frame));
-        Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() }
+        Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() }.as_given()
     }
 
     /// The same picture, which was a JPEG with these quantiser steps, if they are known.

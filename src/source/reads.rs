@@ -31,6 +31,17 @@ impl Picture {
         self
     }
 
+    /// The same picture, marked as a camera or a coder gave it. Without the mark a program may have made it of others.
+    pub(crate) fn as_given(mut self) -> Self {
+        self.reads.as_given = true;
+        self
+    }
+
+    /// Whether it is known to be so: only then its noise, and what of it lasts, tell how it came about.
+    pub(crate) fn is_as_given(&self) -> bool {
+        self.reads.as_given
+    }
+
     /// The same picture, marked as interlaced or not.
     pub(crate) fn interlaced(mut self, interlaced: bool) -> Self {
         self.reads.interlaced = interlaced;

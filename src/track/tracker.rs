@@ -230,8 +230,9 @@ impl Tracker {
             found => found?,
         };
         self.pairs.add(picture, &found.blobs);
-        // A coder that predicts makes noise last itself.
-        if !picture.quantisation().is_some_and(|own| own.predicted) && self.rig.catheter.coil != 0 {
+        // A coder that predicts makes noise last itself, and a coil that comes first moves.
+        let tells = picture.is_as_given() && self.rig.catheter.coil != 0;
+        if tells && !picture.quantisation().is_some_and(|own| own.predicted) {
             let blocks = self.blocks.add(picture, found.windows_of(0));
             self.copied.add(picture, &blocks);
             self.denoised.add(&blocks);

@@ -1,5 +1,6 @@
 //! A motion that comes before its commands.
 
+use super::periods::degrees_of_sd;
 use super::run::Run;
 use super::timing::WEAK_CORRELATION;
 
@@ -22,9 +23,4 @@ pub(super) fn note(run: &Run) -> Option<String> {
             degrees_of_sd(sd_deg)
         )
     })
-}
-
-/// What follows an angle in a note: its σ, or that there is none.
-pub(super) fn degrees_of_sd(sd_deg: Option<f64>) -> String {
-    sd_deg.map_or_else(|| " (σ is not known)".to_owned(), |sd_deg| format!(" ± {sd_deg:.2}°"))
 }

@@ -14,7 +14,6 @@
 //! gives no σ, whether a change is more than noise: the notes then say so.
 
 use super::lag::{lag, unwrap};
-use super::lead::degrees_of_sd;
 use super::path::DesiredPath;
 use super::pauses::Mean;
 use nalgebra::{Point3, Vector3};
@@ -263,4 +262,9 @@ fn line(periods: &[Period]) -> Option<(f64, Option<f64>)> {
     let spread = sum(&|p| (p.number as f64 - number).powi(2));
     let slope = sum(&|p| (p.number as f64 - number) * (p.phase_deg - phase)) / spread;
     slope.is_finite().then(|| (slope, known.then(|| spread.sqrt().recip())))
+}
+
+/// What follows an angle in a note: its σ, or that there is none.
+pub(super) fn degrees_of_sd(sd_deg: Option<f64>) -> String {
+    sd_deg.map_or_else(|| " (σ is not known)".to_owned(), |sd_deg| format!(" ± {sd_deg:.2}°"))
 }
