@@ -152,7 +152,7 @@ impl Work {
             }
             let draw = |(index, stamp, gap, exposed): &(usize, Stamp, u32, Exposed)| {
                 let seed = noise_seed(self.seed, *index as u64);
-                let picture = self.renderer.picture(exposed, seed, Stored::Whole).ok()?.as_given();
+                let picture = self.renderer.picture(exposed, seed, Stored::Whole).ok()?.marked_as_given();
                 Some((*stamp, *gap, picture))
             };
             let drawn: Vec<_> = batch.par_iter().filter_map(draw).collect();

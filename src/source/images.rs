@@ -162,7 +162,7 @@ impl ImageFolder {
             );
         }
         match picture(decoded) {
-            Some(Ok(picture)) => Ok(picture.of_jpeg(steps.as_ref()).as_given()),
+            Some(Ok(picture)) => Ok(picture.of_jpeg(steps.as_ref()).marked_as_given()),
             Some(Err(error)) => Err(unreadable(error.to_string())),
             None => Err(unreadable("its samples are not whole numbers of 8 or 16 bits".to_owned())),
         }

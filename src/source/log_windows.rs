@@ -366,7 +366,7 @@ fn black(layout: &Layout) -> Vec<Vec<u8>> {
 fn picture_of(layout: Layout, planes: Vec<Vec<u8>>) -> Result<Picture, String> {
     let [width, height] = layout.size_px;
     let picture = Picture::from_planes(width, height, layout.format, layout.colour, planes);
-    picture.map(Picture::as_given).map_err(|e| e.to_string())
+    picture.map(Picture::marked_as_given).map_err(|e| e.to_string())
 }
 
 /// Copies a window into its plane; returns the plane and the pixels that it covers.

@@ -348,7 +348,7 @@ impl Picture {
     pub(crate) fn from_decoded(frame: ffmpeg_the_third::frame::Video, format: PixelFormat, colour: Colour) -> Self {
         let (width, height) = (frame.width(), frame.height());
         let storage = Arc::new(Storage::Decoded(frame));
-        Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() }.as_given()
+        Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() }.marked_as_given()
     }
 
     /// The same picture, which was a JPEG with these quantiser steps, if they are known.

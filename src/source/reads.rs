@@ -32,7 +32,7 @@ impl Picture {
     }
 
     /// The same picture, marked as a camera or a coder gave it. Without the mark a program may have made it of others.
-    pub(crate) fn as_given(mut self) -> Self {
+    pub(crate) fn marked_as_given(mut self) -> Self {
         self.reads.as_given = true;
         self
     }

@@ -49,9 +49,14 @@ pub(crate) struct Compared {
 
 impl Blocks {
     /// Adds a picture: luma, or green, of all blocks around windows. What it is compared with; nothing once enough was,
-    /// and for a picture that repeats the one before to the last bit there: it may be the same one, shown twice.
-    pub(crate) fn add(&mut self, picture: &Picture, windows: impl Iterator<Item = Window>) -> Vec<Compared> {
-        if self.compared == FRAMES {
+    /// and for one that shows the picture before `again`, which tells nothing.
+    pub(crate) fn add(
+        &mut self,
+        picture: &Picture,
+        windows: impl Iterator<Item = Window>,
+        again: bool,
+    ) -> Vec<Compared> {
+        if self.compared == FRAMES || again {
             return Vec::new();
         }
         let around = windows.map(|window| window.grown(AROUND_PX, SIDE as u32).clipped(picture.size_px()));
@@ -64,12 +69,6 @@ impl Blocks {
         // Windows may overlap.
         let blocks: BTreeMap<[u32; 2], Block> =
             corners.filter_map(|corner| Some((corner, block(picture, corner)?))).collect();
-        let repeats = |(corner, now): (&[u32; 2], &Block)| {
-            self.last.get(corner).is_some_and(|last| last.frame == self.frames && last.samples.front() == Some(now))
-        };
-        if !blocks.is_empty() && blocks.iter().all(repeats) {
-            return Vec::new();
-        }
         self.frames += 1;
         let mut compared = Vec::new();
         for (corner, now) in blocks {

@@ -155,7 +155,12 @@ impl Repeats {
     /// own time.
     pub(crate) fn is_repeated(&self, picture: &Picture, stamp: Timestamp, predicted: bool) -> bool {
         let Some(last) = self.last.as_ref().filter(|last| last.moving) else { return false };
-        (!predicted || is_recent(stamp, last.stamp)) && checksum(picture, &last.windows) == Some(last.checksum)
+        (!predicted || is_recent(stamp, last.stamp)) && self.shows_again(picture)
+    }
+
+    /// Whether a picture is equal to the last one, to the last bit, wherever a band was.
+    pub(crate) fn shows_again(&self, picture: &Picture) -> bool {
+        self.last.as_ref().is_some_and(|last| checksum(picture, &last.windows) == Some(last.checksum))
     }
 
     /// Whether the bands of a picture are where they were in the last one that was measured, although they moved: it
