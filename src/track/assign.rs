@@ -330,8 +330,8 @@ struct Choice {
 /// a marker that must not be near a position.
 fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point3<f64>)>) -> Choice {
     // States of marker m: its candidates, then "none". A "none" passes on the last chosen neighbour unchecked.
-    let mut costs: Vec<Vec<f64>> = Vec::with_capacity(candidates.len());
-    let mut from: Vec<Vec<usize>> = Vec::with_capacity(candidates.len());
+    // Of each the cost so far, and the state of the marker before that it comes from.
+    let mut costs: Vec<Vec<(f64, usize)>> = Vec::with_capacity(candidates.len());
     for (m, list) in candidates.iter().enumerate() {
         let own = |k: usize| match list.get(k) {
             None => MISSING_COST,
@@ -342,30 +342,26 @@ fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point
                 _ => c.cost,
             },
         };
-        let (mut row, mut back) = (Vec::new(), Vec::new());
-        for k in 0..=list.len() {
-            let before = m.checked_sub(1).map(|p| (p, &costs[p]));
-            let (cost, previous) = match before {
-                None => (0.0, 0),
-                Some((p, costs)) => (0..costs.len())
-                    .map(|j| (costs[j] + apart(rig, p, &candidates[p], j, list, k), j))
-                    .min_by(|a, b| a.0.total_cmp(&b.0))
-                    .unwrap_or((0.0, 0)),
-            };
-            row.push(cost + own(k));
-            back.push(previous);
-        }
+        let best = |k: usize| match m.checked_sub(1).map(|p| (p, &costs[p])) {
+            None => (own(k), 0),
+            Some((p, costs)) => {
+                let through = |j: usize| costs[j].0 + apart(rig, p, &candidates[p], j, list, k);
+                let before = (0..costs.len()).map(|j| (through(j), j)).min_by(|a, b| a.0.total_cmp(&b.0));
+                before.map_or((own(k), 0), |(cost, j)| (cost + own(k), j))
+            }
+        };
+        let row = (0..=list.len()).map(best).collect();
         costs.push(row);
-        from.push(back);
     }
     let mut choice = vec![None; candidates.len()];
     let last = costs.last().map_or(&[][..], Vec::as_slice);
-    let Some((mut state, cost)) = last.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1)) else {
+    let ends = last.iter().map(|(cost, _)| *cost).enumerate();
+    let Some((mut state, cost)) = ends.min_by(|a, b| a.1.total_cmp(&b.1)) else {
         return Choice { choice, cost: 0.0 };
     };
     for m in (0..candidates.len()).rev() {
         choice[m] = (state < candidates[m].len()).then_some(state);
-        state = from[m][state];
+        state = costs[m][state].1;
     }
     Choice { choice, cost }
 }
