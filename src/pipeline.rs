@@ -227,8 +227,8 @@ fn each_working(
     failures
 }
 
-/// Finishes all sinks with the count of the run, side by side: each writes its own files and waits for the disk. Returns
-/// why some failed.
+/// Finishes all sinks with the count of the run, side by side: each writes its own files and waits for the disk.
+/// Returns why some failed.
 pub(crate) fn finish_all(sinks: Vec<OpenSink>, tally: &Tally) -> Vec<SinkError> {
     let span = Span::current();
     let finish = |(mut sink, works): OpenSink| match span.in_scope(|| sink.finish(tally)) {

@@ -65,8 +65,8 @@ impl Continuous {
         self.num.iter().chain(self.den.iter().skip(1)).copied().collect()
     }
 
-    /// The discrete model whose input is held between samples of `period_s`. Of a delay that is not of whole samples, to
-    /// a hundredth of one, the rest is exact too: it costs one coefficient.
+    /// The discrete model whose input is held between samples of `period_s`. Of a delay that is not of whole samples,
+    /// to a hundredth of one, the rest is exact too: it costs one coefficient.
     pub fn sampled(&self, period_s: f64) -> Polynomials {
         let delay = self.delay_s / period_s;
         let is_whole = (delay - delay.round()).abs() <= NEARLY_WHOLE;

@@ -1,4 +1,4 @@
-//! Zero of the time axis in files for people.
+//! Times in files for people: the zero of their axis, and those of a video's frames.
 
 use crate::source::times::seconds;
 
@@ -29,6 +29,31 @@ impl Origin {
     /// Seconds on the axis; the difference is taken in whole nanoseconds first.
     pub(crate) fn elapsed_s(self, stamp_ns: i64) -> f64 {
         seconds(self.elapsed_ns(stamp_ns))
+    }
+}
+
+/// Times of a video's frames, in the smallest unit of time in its file.
+pub(super) struct Rising {
+    /// That of the last frame; -1 before the first.
+    pub last: i64,
+    /// Whether a frame was not later than the one before.
+    went_back: bool,
+}
+
+impl Rising {
+    pub(super) fn new() -> Self {
+        Self { last: -1, went_back: false }
+    }
+
+    /// The time of a frame whose stamp is at `time`. Two frames cannot be shown at once: one that is not later than the
+    /// one before moves by one unit behind it. `warning` says so, of the first.
+    pub(super) fn next(&mut self, time: i64, stamp_ns: i64, warning: &str) -> i64 {
+        if time <= self.last && !self.went_back {
+            tracing::warn!(stamp_ns, "{warning}");
+            self.went_back = true;
+        }
+        self.last = time.max(self.last + 1);
+        self.last
     }
 }
 

@@ -4,7 +4,7 @@
 //! (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
 
 use super::SinkError;
-use super::clock::Origin;
+use super::clock::{Origin, Rising};
 use super::colour::FromBgr;
 use crate::source::quiet_libav;
 use ffmpeg_the_third as av;
@@ -35,8 +35,6 @@ pub(crate) struct VideoWriter {
     to_yuv: FromBgr,
     ticks_per_s: i64,
     phase: Phase,
-    /// Whether a frame was not later than the one before.
-    went_back: bool,
 }
 
 enum Phase {
@@ -44,7 +42,7 @@ enum Phase {
     Fresh,
     Running {
         origin: Origin,
-        last_tick: i64,
+        shown: Rising,
         /// Last interval, ticks: also how long the last frame is shown.
         interval: i64,
     },
@@ -89,8 +87,7 @@ impl VideoWriter {
         stream.set_time_base(av::Rational(1, choice.ticks_per_s as i32));
         stream.copy_parameters_from_context(&encoder);
         let to_yuv = FromBgr::for_video(size_px).map_err(fail("colour conversion"))?;
-        let (path, ticks_per_s) = (path.into(), choice.ticks_per_s);
-        Ok(Self { path, output, encoder, to_yuv, ticks_per_s, phase: Phase::Fresh, went_back: false })
+        Ok(Self { path: path.into(), output, encoder, to_yuv, ticks_per_s: choice.ticks_per_s, phase: Phase::Fresh })
     }
 
     /// Adds a picture, rows of B'G'R' with `stride` bytes each, shown from `stamp_ns` on.
@@ -98,25 +95,18 @@ impl VideoWriter {
         if let Phase::Fresh = self.phase {
             self.start(Origin::of_first(stamp_ns))?;
         }
-        let Phase::Running { origin, last_tick, interval } = &mut self.phase else {
+        let Phase::Running { origin, shown, interval } = &mut self.phase else {
             return Err(self.failed("writing after the end")(av::Error::Eof));
         };
-        let mut tick = ticks(origin.elapsed_ns(stamp_ns), self.ticks_per_s);
-        if tick <= *last_tick {
-            // Two frames cannot be shown at once: the later one moves by the smallest unit of time in the file.
-            if !self.went_back {
-                tracing::warn!(
-                    stamp_ns,
-                    "a frame is not later than the one before: such frames are one tick apart in the overlay"
-                );
-                self.went_back = true;
-            }
-            tick = *last_tick + 1;
+        let (before, own) = (shown.last, ticks(origin.elapsed_ns(stamp_ns), self.ticks_per_s));
+        let tick = shown.next(
+            own,
+            stamp_ns,
+            "a frame is not later than the one before: such frames are one tick apart in the overlay",
+        );
+        if before >= 0 {
+            *interval = tick - before;
         }
-        if *last_tick >= 0 {
-            *interval = tick - *last_tick;
-        }
-        *last_tick = tick;
         let mut frame = self.to_yuv.convert(bgr, stride).map_err(self.failed("colour conversion"))?;
         frame.set_pts(Some(tick));
         frame.set_color_space(av::color::Space::BT709);
@@ -148,7 +138,7 @@ impl VideoWriter {
         // The time of the first frame is stored in this unit; MP4's own default would round it to milliseconds.
         options.set("movie_timescale", self.ticks_per_s.to_string());
         self.output.write_header_with(options).map_err(self.failed("writing the header"))?;
-        self.phase = Phase::Running { origin, last_tick: -1, interval: self.ticks_per_s / 60 };
+        self.phase = Phase::Running { origin, shown: Rising::new(), interval: self.ticks_per_s / 60 };
         Ok(())
     }
 

@@ -3,7 +3,8 @@
 //! In: pictures as they were tracked. Out: every picture at its camera time, to the nanosecond, with the tags of its
 //! colours. With FFV1 the samples are those that were tracked (packed RGB and NV12 are reordered, nothing is
 //! converted), so tracking the video gives the same positions; what σ took from the coder of the source is not in it.
-//! Damaged and interlaced pictures are left out: the video cannot mark them. H.264 keeps a picture's subsampling; RGB becomes 4:2:0.
+//! Damaged and interlaced pictures are left out: the video cannot mark them. H.264 keeps a picture's subsampling; RGB
+//! becomes 4:2:0.
 //!
 //! libav's muxer counts in milliseconds. Matroska allows finer units (`TimestampScale`, RFC 9559 §5.1.2.9): the file
 //! gets stamps in nanoseconds, and the scale in its header is set to match. Every picture is in its own cluster, which
@@ -11,6 +12,7 @@
 //! has run longer than libav can read, the first stamp in the file is zero, and a tag (`CATOPTRA_ORIGIN_NS`) has its
 //! true value.
 
+use super::clock::Rising;
 use super::colour::{ConvertError, FromBgr, ToBgr};
 use super::encode::would_block;
 use super::{Sink, SinkError};
@@ -59,9 +61,7 @@ struct Running {
     frames: Frames,
     /// Subtracted from every stamp, and recorded in the file.
     origin_ns: i64,
-    last_ns: i64,
-    /// Whether a stamp was not later than the one before.
-    went_back: bool,
+    shown: Rising,
 }
 
 /// Makes libav frames from pictures.
@@ -136,7 +136,7 @@ impl PictureVideo {
         }
         output.write_header_with(options).map_err(fail("writing the header"))?;
         count_in_nanoseconds(path).map_err(|source| SinkError::io(path, source))?;
-        Ok(Running { output, encoder, frames, origin_ns, last_ns: -1, went_back: false })
+        Ok(Running { output, encoder, frames, origin_ns, shown: Rising::new() })
     }
 
     /// Adds a picture.
@@ -150,19 +150,12 @@ impl PictureVideo {
         let Some(running) = &mut self.running else { return Ok(()) };
         let failed = failed(&self.path);
         let mut frame = running.frames.frame(&self.path, picture)?;
-        let mut ns = stamp_ns.saturating_sub(running.origin_ns);
-        if ns <= running.last_ns {
-            if !running.went_back {
-                tracing::warn!(
-                    stamp_ns,
-                    "a picture is not later than the one before: such pictures are 1 ns apart in the video, and their \
-                     own times are in the log alone"
-                );
-                running.went_back = true;
-            }
-            ns = running.last_ns + 1;
-        }
-        running.last_ns = ns;
+        let ns = running.shown.next(
+            stamp_ns.saturating_sub(running.origin_ns),
+            stamp_ns,
+            "a picture is not later than the one before: such pictures are 1 ns apart in the video, and their own \
+             times are in the log alone",
+        );
         frame.set_pts(Some(ns));
         running.encoder.send_frame(&frame).map_err(failed("encoding"))?;
         running.drain().map_err(failed("writing"))

@@ -49,14 +49,14 @@ pub(crate) struct Compared {
 
 impl Blocks {
     /// Adds a picture: luma, or green, of all blocks around windows. What it is compared with; nothing once enough was,
-    /// and for one that shows the picture before `again`, which tells nothing.
+    /// and for one that shows the picture before `again`, which tells nothing and is asked only until then.
     pub(crate) fn add(
         &mut self,
         picture: &Picture,
         windows: impl Iterator<Item = Window>,
-        again: bool,
+        again: impl FnOnce() -> bool,
     ) -> Vec<Compared> {
-        if self.compared == FRAMES || again {
+        if self.compared == FRAMES || again() {
             return Vec::new();
         }
         let around = windows.map(|window| window.grown(AROUND_PX, SIDE as u32).clipped(picture.size_px()));

@@ -137,7 +137,7 @@ mod tests {
             before.clone_from(&luma);
             let own = Picture::from_planes(SIZE, SIZE, PixelFormat::Grey, Colour::SRGB, vec![luma]).unwrap();
             let own = picture(own);
-            copied.add(&own, &blocks.add(&own, [BASE].into_iter(), again));
+            copied.add(&own, &blocks.add(&own, [BASE].into_iter(), || again));
         }
         copied.from().is_some()
     }

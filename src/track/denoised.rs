@@ -123,7 +123,7 @@ mod tests {
             shown = if shown.is_empty() { own } else { own.iter().zip(&shown).map(reduced).collect() };
             let planes = vec![shown.iter().map(|value| value.round() as u8).collect()];
             let picture = Picture::from_planes(SIZE, SIZE, PixelFormat::Grey, Colour::SRGB, planes).unwrap();
-            (0..times).for_each(|k| denoised.add(&blocks.add(&picture, [BASE].into_iter(), k > 0)));
+            (0..times).for_each(|k| denoised.add(&blocks.add(&picture, [BASE].into_iter(), || k > 0)));
         }
         denoised
     }

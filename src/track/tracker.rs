@@ -233,7 +233,7 @@ impl Tracker {
         // A coder that predicts makes noise last itself, and a coil that comes first moves.
         let tells = picture.is_as_given() && self.rig.catheter.coil != 0;
         if tells && !picture.quantisation().is_some_and(|own| own.predicted) {
-            let blocks = self.blocks.add(picture, found.windows_of(0), self.repeats.shows_again(picture));
+            let blocks = self.blocks.add(picture, found.windows_of(0), || self.repeats.shows_again(picture));
             self.copied.add(picture, &blocks);
             self.denoised.add(&blocks);
         }

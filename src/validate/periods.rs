@@ -197,7 +197,7 @@ impl Changes {
 
     fn shift_note(&self) -> Option<String> {
         let Change { between: (before, after), by, sd } = self.shift;
-        let unknown = if sd.is_none() { " (σ is not known)" } else { "" };
+        let unknown = if_unknown(sd);
         self.shift.exceeds(SAME_PLACE * self.size_m).then(|| {
             format!(
                 "the middle of the motion is {:.2} mm{unknown} away in period {after} from where it is in period \
@@ -266,5 +266,10 @@ fn line(periods: &[Period]) -> Option<(f64, Option<f64>)> {
 
 /// What follows an angle in a note: its σ, or that there is none.
 pub(super) fn degrees_of_sd(sd_deg: Option<f64>) -> String {
-    sd_deg.map_or_else(|| " (σ is not known)".to_owned(), |sd_deg| format!(" ± {sd_deg:.2}°"))
+    sd_deg.map_or_else(|| if_unknown(sd_deg).to_owned(), |sd_deg| format!(" ± {sd_deg:.2}°"))
+}
+
+/// What follows any other quantity, if it has no σ.
+pub(super) fn if_unknown(sd: Option<f64>) -> &'static str {
+    if sd.is_none() { " (σ is not known)" } else { "" }
 }

@@ -6,6 +6,7 @@
 
 use super::circle::Circle;
 use super::path::DesiredPath;
+use super::periods::if_unknown;
 use super::plane::Plane;
 use super::step::Step;
 use nalgebra::Point3;
@@ -64,13 +65,13 @@ impl Settling {
 
     /// A note about it.
     pub(super) fn note(&self) -> Option<String> {
-        let unknown = if self.noise_m.is_none() { " (σ is not known)" } else { "" };
+        let unknown = if_unknown(self.noise_m);
         let last = self.last_db.map_or(String::new(), |db| format!(" (the last period alone has {db:.1} dB)"));
         self.is_unsettled().then(|| {
             format!(
                 "the motion has not become periodic: from one period to the next it still changes by {:.0} % of its \
-                 size{unknown}, so its magnitude is not that of the steady response{last}; command more periods and leave out \
-                 more with --skip",
+                 size{unknown}, so its magnitude is not that of the steady response{last}; command more periods and \
+                 leave out more with --skip",
                 100.0 * self.change_m / self.size_m
             )
         })
