@@ -30,15 +30,21 @@ impl NewFile {
         Ok(new)
     }
 
-    /// Opens it, for content too large to write at once. The caller must flush it to the disk.
+    /// Opens it, for content too large to write at once. The caller must flush it to the disk. Of a link, what it leads
+    /// to is replaced; the new file has the old one's permissions.
     ///
     /// # Errors
     /// The system's.
     pub(crate) fn begin(place: &Path) -> io::Result<(Self, File)> {
+        let old = fs::canonicalize(place);
+        let place = old.as_deref().unwrap_or(place);
         let mut beside = place.as_os_str().to_owned();
         beside.push(format!(".{}.new", std::process::id()));
         let new = Self { beside: beside.into(), place: place.to_path_buf() };
         let file = File::create(&new.beside)?;
+        if let Ok(old) = fs::metadata(place) {
+            fs::set_permissions(&new.beside, old.permissions())?;
+        }
         Ok((new, file))
     }
 
@@ -65,4 +71,24 @@ pub(crate) fn backup_names(place: &Path) -> impl Iterator<Item = PathBuf> {
         name.push(if n == 1 { ".bak".to_owned() } else { format!(".bak{n}") });
         name.into()
     })
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::{PermissionsExt as _, symlink};
+
+    #[test]
+    fn what_a_link_leads_to_is_replaced_and_keeps_its_permissions() {
+        let folder = tempfile::tempdir().unwrap();
+        let (shared, link) = (folder.path().join("shared.toml"), folder.path().join("rig.toml"));
+        fs::write(&shared, "old").unwrap();
+        fs::set_permissions(&shared, fs::Permissions::from_mode(0o664)).unwrap();
+        symlink("shared.toml", &link).unwrap();
+        write(&link, b"new").unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs::read_to_string(&shared).unwrap(), "new");
+        assert_eq!(fs::metadata(&shared).unwrap().permissions().mode() & 0o777, 0o664);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
 }

@@ -111,9 +111,7 @@ fn log(bytes: &[u8], folder: &Path) {
     let _ = Recording::read(&path);
     let _ = crate::log::attached(&path, crate::log::schema::RIG_ATTACHMENT);
     let _ = repair(&path);
-    for left in ["log.mcap.bak", "log.mcap.repaired"] {
-        let _ = std::fs::remove_file(folder.join(left));
-    }
+    let _ = std::fs::remove_file(folder.join("log.mcap.bak"));
 }
 
 fn log_windows(bytes: &[u8], folder: &Path) {

@@ -12,6 +12,8 @@ const LONGEST_US: u64 = 10_000_000;
 /// So long no frame may come without being told, and so many times the usual step between two.
 const SILENCE: Duration = Duration::from_secs(2);
 const SILENCE_STEPS: u32 = 3;
+/// The same before the first frame.
+const SILENT_START: Duration = Duration::from_secs(5);
 
 /// Time from a frame's arrival until its θ was sent, microseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -76,7 +78,7 @@ impl Counters {
     pub(super) fn new(tally: Tally, clock: HostClock) -> Result<Self, hdrhistogram::CreationError> {
         let histogram = || Histogram::new_with_bounds(1, LONGEST_US, 3);
         let (recent, whole) = (histogram()?, histogram()?);
-        let counts = Counts { tally, latest: None, pace: Pace::default(), reported_frames: 0, recent, whole };
+        let counts = Counts { tally, latest: None, pace: Pace::new(Instant::now()), reported_frames: 0, recent, whole };
         Ok(Self { clock, counts: Mutex::new(counts) })
     }
 
@@ -133,13 +135,19 @@ impl Counters {
 }
 
 /// When the last frame came, and how far apart the last ones were.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Pace {
+    /// When frames could come first.
+    begun: Instant,
     last: Option<Instant>,
     steps: [Option<Duration>; 2],
 }
 
 impl Pace {
+    fn new(begun: Instant) -> Self {
+        Self { begun, last: None, steps: [None; 2] }
+    }
+
     fn frame(&mut self, now: Instant) {
         let [_, before] = self.steps;
         self.steps = [before, self.last.map(|last| now - last)];
@@ -150,7 +158,9 @@ impl Pace {
     fn silence(&self, now: Instant) -> Option<Duration> {
         // The longer of two may be an outage.
         let step = self.steps.into_iter().flatten().min().unwrap_or_default();
-        self.last.map(|last| now - last).filter(|elapsed| *elapsed > SILENCE.max(step * SILENCE_STEPS))
+        // A camera may take a while to begin.
+        let first = if self.last.is_none() { SILENT_START } else { SILENCE };
+        Some(now - self.last.unwrap_or(self.begun)).filter(|elapsed| *elapsed > first.max(step * SILENCE_STEPS))
     }
 }
 
@@ -168,11 +178,12 @@ mod tests {
         let s = Duration::from_secs_f64;
         let begin = Instant::now();
         let told = |times: &[f64], now: f64| {
-            let mut pace = Pace::default();
+            let mut pace = Pace::new(begin);
             times.iter().for_each(|time| pace.frame(begin + s(*time)));
             pace.silence(begin + s(now)).map(|silent| silent.as_secs())
         };
-        assert_eq!((told(&[], 9.0), told(&[0.0], 1.9), told(&[0.0], 2.1)), (None, None, Some(2)));
+        assert_eq!((told(&[], 4.9), told(&[], 5.1)), (None, Some(5)));
+        assert_eq!((told(&[0.0], 1.9), told(&[0.0], 2.1)), (None, Some(2)));
         assert_eq!((told(&[0.0, 0.016], 1.9), told(&[0.0, 0.016], 2.1)), (None, Some(2)));
         assert_eq!((told(&[0.0, 5.0], 19.0), told(&[0.0, 5.0], 21.0)), (None, Some(16)));
         // An outage of a minute is no step of the camera's, neither before nor after the next frame.

@@ -4,7 +4,7 @@
 
 use super::records::{self, Condition};
 use super::{LogError, is_being_written};
-use crate::atomic_file::backup_names;
+use crate::atomic_file::{NewFile, backup_names};
 use mcap::records::{Channel, Record};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
 use std::collections::BTreeMap;
@@ -54,20 +54,19 @@ pub fn repair(path: &Path) -> Result<Repaired, LogError> {
         let reason = format!("no message in it can be read ({reason}); it is left as it is");
         return Err(LogError::Repair { path: path.to_owned(), reason });
     }
-    let mut new = path.as_os_str().to_owned();
-    new.push(".repaired");
-    let new = PathBuf::from(new);
-    let (messages, unknown) = match copy(path, &new, &topics) {
-        Ok(counts) => counts,
-        Err(error) => {
-            // The file is useless; if it cannot be removed, nothing changes.
-            let _ = std::fs::remove_file(&new);
-            return Err(error);
-        }
-    };
     let io = |source| LogError::Io { path: path.to_owned(), source };
+    let (new, file) = NewFile::begin(path).map_err(io)?;
+    let (messages, unknown) = copy(path, file, &topics)?;
+    // Of a link, the log that it leads to is kept and replaced.
+    let target = std::fs::canonicalize(path).map_err(io)?;
+    let path = if path.is_symlink() { &target } else { path };
     let kept_as = backup_names(path).find(|name| !name.exists()).ok_or_else(|| io(ErrorKind::AlreadyExists.into()))?;
-    std::fs::rename(path, &kept_as).and_then(|()| std::fs::rename(&new, path)).map_err(io)?;
+    std::fs::rename(path, &kept_as).map_err(io)?;
+    if let Err(error) = new.put_in_place() {
+        // The log keeps its name.
+        std::fs::rename(&kept_as, path).map_err(|source| LogError::Io { path: kept_as, source })?;
+        return Err(io(error));
+    }
     Ok(Repaired::Mended { messages, unknown, condition, kept_as })
 }
 
@@ -99,13 +98,13 @@ impl Topics {
 }
 
 /// Copies the messages; returns the numbers written and of unknown topics.
-fn copy(from: &Path, to: &Path, topics: &Topics) -> Result<(u64, u64), LogError> {
-    let io = |source| LogError::Io { path: to.to_owned(), source };
+fn copy(from: &Path, to: File, topics: &Topics) -> Result<(u64, u64), LogError> {
+    let io = |source| LogError::Io { path: from.to_owned(), source };
     let failed = |error: McapError| match error {
-        McapError::Io(source) => LogError::Io { path: to.to_owned(), source },
+        McapError::Io(source) => io(source),
         other => LogError::Repair { path: from.to_owned(), reason: other.to_string() },
     };
-    let file = BufWriter::new(File::create(to).map_err(io)?);
+    let file = BufWriter::new(to);
     let library = format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER);
     let options = WriteOptions::new().profile(&topics.profile).library(library).compression(None);
     let mut writer: Writer<_> = options.create(file).map_err(failed)?;

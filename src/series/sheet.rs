@@ -35,6 +35,9 @@ pub(super) struct Row {
     pub(super) cells: Vec<String>,
 }
 
+/// Words of other programs for what is missing.
+const MISSING: [&str; 6] = ["na", "n/a", "null", "none", "-", "?"];
+
 /// Whether a cell is empty or a word for an unknown number.
 pub(super) fn is_missing(cell: &str) -> bool {
     cell.is_empty() || cell.eq_ignore_ascii_case("nan") || cell == "-nan"
@@ -43,6 +46,26 @@ pub(super) fn is_missing(cell: &str) -> bool {
 /// A number or a word for a missing one.
 fn is_numeric(cell: &str) -> bool {
     is_missing(cell) || cell.parse::<f64>().is_ok()
+}
+
+/// Refuses a first line of numbers and words for missing ones, which is no header, and warns of one that counts.
+fn check_first(path: &Path, row: &Row) -> Result<(), SeriesError> {
+    let is_word = |cell: &&String| MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word));
+    let all_known = row.cells.iter().all(|cell| is_numeric(cell) || is_word(&cell));
+    if let Some(word) = row.cells.iter().find(is_word).filter(|_| all_known && row.cells.len() > 1) {
+        let problem = format!("`{word}` is no number; what is missing is empty or `nan`");
+        return Err(SeriesError::Line { path: path.to_owned(), line: row.line, problem });
+    }
+    let counts = |from: usize| row.cells.iter().zip(from..).all(|(cell, number)| *cell == number.to_string());
+    if row.cells.len() > 1 && (counts(0) || counts(1)) {
+        let cells = row.cells.join(", ");
+        tracing::warn!(
+            "{}: its first line, {cells}, counts as a row; are these numbers of columns? (in pandas header=False leaves \
+             them out)",
+            path.display()
+        );
+    }
+    Ok(())
 }
 
 impl Sheet {
@@ -63,6 +86,9 @@ impl Sheet {
             None => spaced(text),
         };
         rows.retain(|row| row.cells.len() > 1 || row.cells.iter().any(|cell| !cell.is_empty()));
+        if let Some(row) = rows.first() {
+            check_first(path, row)?;
+        }
         let headed = rows.first().is_some_and(|row| !row.cells.iter().all(|cell| is_numeric(cell)));
         let header = headed.then(|| rows.remove(0).cells);
         let width = header.as_ref().or(rows.first().map(|row| &row.cells)).map_or(0, Vec::len);

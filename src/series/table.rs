@@ -7,12 +7,15 @@ use super::sheet::{Row, Sheet, is_missing};
 use super::{Frame, Place, Recording, SeriesError};
 use crate::log::schema::table as columns;
 use crate::sink::OutputFrame;
+use crate::source::times::seconds;
 use nalgebra::{Point3, Vector3};
 use std::path::Path;
 
 /// Marker of coordinates without a name.
 const UNNAMED: &str = "tip";
 const M_PER_MM: f64 = 1e-3;
+/// Times that are written twice span the same, but for this fraction.
+const SAME_SPAN: f64 = 0.01;
 
 /// Columns of a marker.
 struct Marker {
@@ -28,8 +31,8 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     let cut = partial_last_line(&mut sheet);
     sheet.check_row_widths()?;
     let stamp = sheet.find(columns::STAMP_NS);
-    let seconds = sheet.find(columns::T_S);
-    if stamp.or(seconds).is_none() {
+    let t_s = sheet.find(columns::T_S);
+    if stamp.or(t_s).is_none() {
         return Err(sheet.wrong(format!("has no times of frames: expected a column stamp_ns or t_s{}", there(&sheet))));
     }
     let markers = markers(&sheet)?;
@@ -55,18 +58,22 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         let there = tick.filter(|column| row.cells.get(*column).is_some_and(|cell| !is_missing(cell)));
         there.map(|_| count(row, tick, 0)).transpose()
     };
-    let mut frames = Vec::with_capacity(sheet.rows.len());
+    let mut frames: Vec<Frame> = Vec::with_capacity(sheet.rows.len());
+    same_times(&sheet)?;
     for (index, row) in (0..).zip(&sheet.rows) {
-        let stamp_ns = match (stamp, seconds) {
+        let stamp_ns = match (stamp, t_s) {
             (Some(column), _) => sheet.integer(row, column)?,
             (None, Some(column)) => sheet.seconds_ns(row, column)?,
             (None, None) => 0,
         };
+        let number = count(row, seq, index)?;
+        // Where it is not told how many were lost, the frames' numbers tell.
+        let lost = frames.last().map_or(0, |before| number.saturating_sub(before.seq).saturating_sub(1));
         frames.push(Frame {
-            seq: count(row, seq, index)?,
+            seq: number,
             stamp_ns,
             host_ns: None,
-            gap: count(row, gap, 0)?,
+            gap: count(row, gap, lost)?,
             theta_rad: angle(row, theta)?,
             theta_sd_rad: angle(row, theta_sd)?,
             theta_status: None,
@@ -86,6 +93,25 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         cut,
         vetoed: 0,
     })
+}
+
+/// Refuses a table whose two columns of times do not run alike: one is in another unit.
+fn same_times(sheet: &Sheet) -> Result<(), SeriesError> {
+    let (Some(stamp), Some(t_s)) = (sheet.find(columns::STAMP_NS), sheet.find(columns::T_S)) else { return Ok(()) };
+    let (Some(first), Some(last)) = (sheet.rows.first(), sheet.rows.last()) else { return Ok(()) };
+    let by_stamps_ns = sheet.integer(last, stamp)?.saturating_sub(sheet.integer(first, stamp)?);
+    // Only stamps are used: seconds may be missing.
+    let (Ok(from_ns), Ok(to_ns)) = (sheet.seconds_ns(first, t_s), sheet.seconds_ns(last, t_s)) else { return Ok(()) };
+    let by_seconds_ns = to_ns.saturating_sub(from_ns);
+    if by_stamps_ns.abs_diff(by_seconds_ns) as f64 <= SAME_SPAN * by_stamps_ns.unsigned_abs() as f64 {
+        return Ok(());
+    }
+    Err(sheet.wrong(format!(
+        "its rows span {} s by stamp_ns and {} s by t_s: one of them is in another unit (nanoseconds and seconds are \
+         expected)",
+        seconds(by_stamps_ns),
+        seconds(by_seconds_ns)
+    )))
 }
 
 /// The last line of a table whose writer was killed; it is left out.

@@ -6,6 +6,7 @@ use std::path::Path;
 use ffmpeg_the_third as av;
 
 use super::extent::{Extent, extent};
+use super::names::without_credentials;
 use super::times::seconds;
 use super::{SourceError, Span, messages};
 
@@ -37,10 +38,12 @@ pub(super) fn open_input(path: &Path) -> Result<av::format::context::Input, Sour
     url.push(path);
     let input = av::format::input(&url).map_err(|error| not_a_video(error.to_string()))?;
     // libav renders plain text as a terminal would.
-    if input.format().name() == "tty" {
-        return Err(not_a_video("it is a text file".to_owned()));
+    match input.format().name() {
+        "tty" => Err(not_a_video("it is a text file".to_owned())),
+        // It may also take the name for a pattern, and read other files.
+        "image2" => Err(not_a_video("it is a picture: pictures are read from a folder".to_owned())),
+        _ => Ok(input),
     }
-    Ok(input)
 }
 
 /// A network stream, or `-` for standard input. Little is read ahead (and it is kept: probing loses no frame), and a
@@ -56,7 +59,7 @@ pub(super) fn open_stream(url: &str) -> Result<av::format::context::Input, Sourc
     ];
     let address = if url == "-" { "pipe:0" } else { url };
     av::format::input_with_dictionary(address, options.into_iter().collect::<av::Dictionary>())
-        .map_err(|error| SourceError::Stream { url: url.to_owned(), reason: error.to_string() })
+        .map_err(|error| SourceError::Stream { url: without_credentials(url), reason: error.to_string() })
 }
 
 /// Microseconds.

@@ -21,6 +21,9 @@ const TIMES: [(&str, TimeColumn); 4] = [
     ("t_s", TimeColumn::StartSeconds),
 ];
 
+/// Names of columns that programs write beside currents.
+const NO_COILS: [&str; 7] = ["seq", "index", "arrival_ns", "time", "timestamp", "tick", "frame"];
+
 /// Whether a column of this name is one of times.
 pub(crate) fn is_time(name: &str) -> bool {
     TIMES.iter().any(|(known, _)| *known == name)
@@ -55,20 +58,32 @@ impl CurrentColumns {
             let time = names[time].as_ref();
             return Err(format!("has only times, in the column {time}; expected a column per coil, in amperes"));
         }
-        // Programs write numbers of rows without a name, and so does a line that ends with a separator.
-        if let Some(unnamed) = coils.iter().find(|i| names[**i].as_ref().is_empty()) {
+        // Programs write numbers of rows without a name (read and written once more, pandas calls them `Unnamed: 0`), and
+        // so does a line that ends with a separator.
+        let is_unnamed = |name: &str| name.is_empty() || name.starts_with("Unnamed: ");
+        if let Some(unnamed) = coils.iter().find(|i| is_unnamed(names[**i].as_ref())) {
             return Err(format!(
                 "has a column without a name, number {}, which would be taken for a coil: name it, or leave it out (in \
                  pandas index=False leaves out the numbers of the rows)",
                 unnamed + 1
             ));
         }
-        let in_ma = |name: &&str| name.to_ascii_lowercase().ends_with("_ma");
-        if let Some(milli) = coils.iter().map(|i| names[*i].as_ref()).find(in_ma) {
+        let is_no_coil = |name: &&str| NO_COILS.contains(&name.to_ascii_lowercase().as_str());
+        if let Some(other) = coils.iter().map(|i| names[*i].as_ref()).find(is_no_coil) {
+            return Err(format!("column `{other}` is no coil: all columns but the time are currents; leave it out"));
+        }
+        if let Some(milli) = coils.iter().map(|i| names[*i].as_ref()).find(|name| is_in_ma(name)) {
             return Err(format!("column `{milli}` is in milliamperes; currents are given in amperes"));
         }
         Ok(Self { time, times, coils, width: names.len() })
     }
+}
+
+/// Whether a name ends with the unit mA: `coil_mA`, `coil (mA)`, `I1 [mA]`, `coil_milliamps`.
+fn is_in_ma(name: &str) -> bool {
+    let mut words = name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).rev();
+    let Some(last) = words.next().map(str::to_ascii_lowercase) else { return false };
+    last.starts_with("milliamp") || last == "ma" && words.next().is_some()
 }
 
 #[cfg(test)]
@@ -80,11 +95,18 @@ mod tests {
         let of = |header: &str| CurrentColumns::of(&header.split(',').collect::<Vec<_>>());
         let columns = of("i1,t_s,i2,host_ns").unwrap();
         assert_eq!((columns.time, columns.times, columns.coils), (3, TimeColumn::HostNs, vec![0, 2]));
+        assert_eq!(of("t_s,ma,plasma").unwrap().coils, [1, 2]);
         for (header, expected) in [
             ("i1,i2", "has no times of currents"),
             ("t_s", "has only times, in the column t_s"),
             ("t_s,stamp_ns", "has only times, in the column stamp_ns"),
             ("t_s,i1,Coil_mA", "column `Coil_mA` is in milliamperes"),
+            ("t_s,I1 [mA]", "column `I1 [mA]` is in milliamperes"),
+            ("t_s,milliamps", "column `milliamps` is in milliamperes"),
+            ("t_s,i1,seq", "column `seq` is no coil"),
+            ("t_s,time,i1", "column `time` is no coil"),
+            ("t_s,i1 (mA)", "column `i1 (mA)` is in milliamperes"),
+            ("Unnamed: 0,t_s,i1", "has a column without a name, number 1"),
             (",t_s,i1", "has a column without a name, number 1, which would be taken for a coil"),
             ("t_s,i1,", "has a column without a name, number 3"),
         ] {

@@ -88,7 +88,7 @@ pub(super) struct Decoding {
     /// Camera time of the latest picture, for messages.
     pub reached_ns: Option<i64>,
     /// Live: when the latest packets were read, by presentation time.
-    read_at: VecDeque<(i64, Instant)>,
+    read_at: VecDeque<(Option<i64>, Instant)>,
     /// Times of packets without a presentation time (AVI), in decoding order: pictures take them in turn.
     in_turn: VecDeque<i64>,
     /// Whether the recording itself trims frames at the end.
@@ -228,7 +228,7 @@ impl Decoding {
 
     /// When the packet of a live picture was read.
     pub(super) fn arrival_of(&self, picture: &Decoded) -> Option<Instant> {
-        let pts = picture.frame.pts()?;
+        let pts = picture.frame.pts();
         self.read_at.iter().rev().find(|(of, _)| *of == pts).map(|(_, at)| *at)
     }
 
@@ -419,13 +419,11 @@ impl Decoding {
     }
 
     fn note_arrival(&mut self, packet: &av::Packet) {
-        if self.clock == Clock::Stream
-            && let Some(pts) = packet.pts()
-        {
+        if self.clock == Clock::Stream {
             if self.read_at.len() == MAX_ARRIVALS {
                 self.read_at.pop_front();
             }
-            self.read_at.push_back((pts, Instant::now()));
+            self.read_at.push_back((packet.pts(), Instant::now()));
         }
     }
 

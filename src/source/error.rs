@@ -269,6 +269,15 @@ pub enum SourceError {
         /// Name of the picture.
         picture: String,
     },
+    /// A picture without a number among numbered ones.
+    #[error("{}: its name does not end with a number, as that of {numbered} does: with --fps pictures are taken for one \
+        sequence in the order of their names; move it elsewhere, or give the times in times.csv", path.display())]
+    NoNumber {
+        /// The picture.
+        path: PathBuf,
+        /// Name of one that has a number.
+        numbered: String,
+    },
     /// A picture that cannot be decoded.
     #[error("{}: is not a picture that can be read: {reason}", path.display())]
     Picture {

@@ -22,6 +22,7 @@ use super::decoded::PictureMaker;
 use super::decoding::{Decoded, Decoding};
 use super::extent::Extent;
 use super::gaps::plausible_period_ns;
+use super::names::without_credentials;
 use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
 use super::{
@@ -80,9 +81,36 @@ pub struct VideoFile {
     last_good_ns: Option<i64>,
 }
 
-/// libav's names of streams without a container.
-const RAW_STREAMS: [&str; 11] =
-    ["h264", "hevc", "vvc", "obu", "m4v", "mpegvideo", "mjpeg", "mjpeg_2000", "vc1", "dirac", "cavsvideo"];
+/// libav's names of streams without a container, and of pictures one after another. It gives both a rate of its own.
+const RAW_STREAMS: [&str; 21] = [
+    "avs2",
+    "avs3",
+    "cavsvideo",
+    "dirac",
+    "dnxhd",
+    "evc",
+    "h261",
+    "h263",
+    "h264",
+    "hevc",
+    "image2",
+    "image2pipe",
+    "ingenient",
+    "m4v",
+    "mjpeg",
+    "mjpeg_2000",
+    "mpegvideo",
+    "mpjpeg",
+    "obu",
+    "vc1",
+    "vvc",
+];
+
+/// Whether the data has no times, and those that libav gives its pictures are invented.
+fn is_without_times(input: &av::format::context::Input) -> bool {
+    let name = input.format().name().to_owned();
+    RAW_STREAMS.contains(&name.as_str()) || name.ends_with("_pipe")
+}
 
 /// Tag with the camera's clock at the container's zero, nanoseconds. Videos recorded by this program have it when the
 /// clock counts from a distant past, which containers resolve to some hundred nanoseconds at best.
@@ -111,8 +139,7 @@ impl VideoFile {
             Extent::Whole | Extent::Undeclared => None,
         };
         let input = open_input(&path)?;
-        match (RAW_STREAMS.contains(&input.format().name()), options.stated_rate) {
-            // libav would invent times from a rate of its own.
+        match (is_without_times(&input), options.stated_rate) {
             (true, None) => return Err(SourceError::NoTime { path, seq: 0 }),
             (false, Some(_)) => return Err(SourceError::RateOfVideo { path }),
             _ => {}
@@ -126,16 +153,21 @@ impl VideoFile {
     }
 
     /// Opens the live stream at `url`: frames leave the decoder at once, and may change their size. It ends when `stop`
-    /// is set.
+    /// is set. Stamps of a stream that [has no times](Self::has_times) are only numbers.
     ///
     /// # Errors
     /// When nobody answers, or the data is not a video that can be decoded.
     pub(super) fn stream(url: &str, stop: &Arc<AtomicBool>) -> Result<Self, SourceError> {
         quiet_libav();
         let options = VideoOptions { keep_damaged: true, ..VideoOptions::default() };
-        let mut source = Self::of_input(url.into(), open_stream(url)?, options, Clock::Stream)?;
+        let mut source = Self::of_input(without_credentials(url).into(), open_stream(url)?, options, Clock::Stream)?;
         source.decoding.stop = Arc::clone(stop);
         Ok(source)
+    }
+
+    /// Whether the data has times, or only pictures.
+    pub(super) fn has_times(&self) -> bool {
+        !is_without_times(self.decoding.input())
     }
 
     fn of_input(
@@ -231,6 +263,7 @@ impl VideoFile {
         }
         let ticks = match frame.pts() {
             Some(pts) => pts,
+            None if self.clock == Clock::Stream && !self.has_times() => self.seq.cast_signed(),
             None => self.guessed(frame)?,
         };
         let stamp = self.timed(ticks)?;

@@ -17,6 +17,7 @@ use std::collections::BTreeSet;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
+use crate::median::median;
 use image::DynamicImage;
 
 use super::gaps::GapCounter;
@@ -58,6 +59,10 @@ pub struct ImageFolder {
     faults: StreamFaults,
 }
 
+/// Pictures further apart hardly show a catheter move: their times are in another unit. At 600 per second milliseconds
+/// taken for seconds make more of it.
+const SLOW_S: f64 = 1.5;
+
 impl ImageFolder {
     /// Lists the pictures of the folder and their times; those outside `span` are left out.
     ///
@@ -79,7 +84,7 @@ impl ImageFolder {
                     let late = || SourceError::TimeRange { path: folder.clone(), seq: i };
                     Ok((name, rate.stamp_ns(i).ok_or_else(late)?))
                 };
-                let rows = positions(&folder, &names).into_iter().zip(names).map(row);
+                let rows = positions(&folder, &names)?.into_iter().zip(names).map(row);
                 (rows.collect::<Result<Vec<_>, SourceError>>()?, Clock::StatedRate)
             }
         };
@@ -321,14 +326,23 @@ fn leading_number(text: &str) -> (&str, &str) {
 
 /// Where each picture is in its sequence, from 0, lost ones included, by the number that its name ends with. Where such
 /// numbers tell nothing, one picture follows the other.
-fn positions(folder: &Path, names: &[String]) -> Vec<u64> {
-    let number = |name: &String| -> Option<u64> {
+///
+/// # Errors
+/// When some names end with a number and others do not: these are hardly pictures of the sequence.
+fn positions(folder: &Path, names: &[String]) -> Result<Vec<u64>, SourceError> {
+    let digits = |name: &String| {
         let stem = Path::new(name).file_stem()?.to_str()?;
         let start = stem.trim_end_matches(|c: char| c.is_ascii_digit()).len();
-        stem.get(start..)?.parse().ok()
+        stem.get(start..).filter(|digits| !digits.is_empty()).map(str::to_owned)
     };
+    let (numbered, odd): (Vec<&String>, Vec<&String>) = names.iter().partition(|name| digits(name).is_some());
+    if let (Some(numbered), Some(odd)) = (numbered.first(), odd.first()) {
+        let path = folder.join(odd);
+        return Err(SourceError::NoNumber { path, numbered: numbered.to_string() });
+    }
+    let number = |name: &String| digits(name)?.parse::<u64>().ok();
     let count = names.len() as u64;
-    let in_a_row = || (0..count).collect();
+    let in_a_row = || Ok((0..count).collect());
     let Some(numbers) = names.iter().map(number).collect::<Option<Vec<_>>>() else { return in_a_row() };
     let steps = || numbers.iter().zip(numbers.iter().skip(1)).map(|(a, b)| b.saturating_sub(*a));
     let usual = steps().min().unwrap_or(1);
@@ -340,7 +354,7 @@ fn positions(folder: &Path, names: &[String]) -> Vec<u64> {
     match lost.filter(|lost| *lost < count && steps().all(|step| step.is_multiple_of(usual))) {
         Some(lost) => {
             tracing::warn!("{place}: {before} is followed by {after}; missing numbers count as lost pictures: {lost}");
-            numbers.iter().map(|number| (number - first) / usual).collect()
+            Ok(numbers.iter().map(|number| (number - first) / usual).collect())
         }
         None => {
             tracing::warn!(
@@ -396,10 +410,15 @@ fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, Sour
         }
         rows.push((file.to_owned(), ns));
     }
-    match names.iter().find(|n| missing.contains(n.as_str())) {
-        Some(picture) => Err(SourceError::NotInTimes { path: table.to_path_buf(), picture: picture.clone() }),
-        None => Ok(rows),
+    if let Some(picture) = names.iter().find(|n| missing.contains(n.as_str())) {
+        return Err(SourceError::NotInTimes { path: table.to_path_buf(), picture: picture.clone() });
     }
+    let steps = rows.iter().zip(rows.iter().skip(1)).map(|((_, a), (_, b))| seconds(b - a));
+    if let Some(step_s) = median(steps).filter(|step_s| *step_s > SLOW_S) {
+        let (table, column) = (table.display(), if in_ns { "stamp_ns is in nanoseconds" } else { "t_s is in seconds" });
+        tracing::warn!("{table}: the pictures are {step_s} s apart: {column}; are these times?");
+    }
+    Ok(rows)
 }
 
 /// The largest power of ten that divides all times: the resolution they were written with.

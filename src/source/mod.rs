@@ -25,7 +25,7 @@ mod last_coded;
 pub mod live;
 mod log_windows;
 mod messages;
-mod names;
+pub(crate) mod names;
 mod open;
 pub(crate) mod pace;
 mod picture;

@@ -30,6 +30,20 @@ pub(crate) fn conversion_advice(folder: &Path) -> Option<String> {
     ))
 }
 
+/// The text without the user's names and passwords of the addresses in it (`rtsp://user:word@host`), which do not
+/// belong into files that are passed on.
+pub(crate) fn without_credentials(text: &str) -> String {
+    let mut parts = text.split("://");
+    let mut clean = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let end = part.find(['/', '?', '#', ' ', '"']).unwrap_or(part.len());
+        let host = part.get(..end).and_then(|authority| authority.rfind('@')).map_or(0, |at| at + 1);
+        clean += "://";
+        clean += part.get(host..).unwrap_or_default();
+    }
+    clean
+}
+
 macro_rules! names {
     ($type:ty { $($value:ident => $name:literal),+ $(,)? }) => {
         impl $type {
@@ -70,5 +84,18 @@ mod tests {
         }
         assert_eq!(ChromaSiting::by_name("top_left"), Some(ChromaSiting::TopLeft));
         assert_eq!(Matrix::by_name("BT709"), None);
+    }
+
+    #[test]
+    fn passwords_are_left_out_and_nothing_else() {
+        for (text, expected) in [
+            ("rtsp://admin:p@ss@10.0.0.2:554/live?a=b@c", "rtsp://10.0.0.2:554/live?a=b@c"),
+            ("gst:rtspsrc location=\"http://u:p@host/x\" ! a@b", "gst:rtspsrc location=\"http://host/x\" ! a@b"),
+            ("http://host/x", "http://host/x"),
+            ("/dev/video0@1", "/dev/video0@1"),
+            ("-", "-"),
+        ] {
+            assert_eq!(without_credentials(text), expected);
+        }
     }
 }

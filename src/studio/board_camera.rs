@@ -33,7 +33,7 @@ const MIN_IMPROVEMENT: f64 = 0.02;
 pub(super) fn judge(desk: &Desk, form: &Form) -> Result<Reply, Refusal> {
     let camera = desk.camera()?;
     let bench = CalibrationInput::of(desk, form)?;
-    let frame = camera.newest()?;
+    let frame = camera.current()?;
     let seen = Instant::now();
     let grey = DynamicImage::from(camera.rgb(&frame)?).into_luma8();
     let (width, height) = grey.dimensions();
@@ -136,7 +136,7 @@ pub(super) fn take(desk: &Desk, asked: &Take) -> Result<Reply, Refusal> {
     desk.verbs()?;
     let camera = desk.camera()?;
     let frame = match asked.seq {
-        None => camera.newest()?,
+        None => camera.current()?,
         Some(seq) => {
             let looked = camera.looked();
             let frame = looked.as_ref().map(|last| &last.frame).filter(|frame| frame.seq == seq).cloned();

@@ -13,6 +13,7 @@ use crate::rig::Draft;
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use serde::Deserialize;
 use serde_json::{Value, json};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Pictures that are taken at most.
@@ -88,8 +89,9 @@ pub(super) fn pictures(desk: &Desk, asked: &FolderAsked) -> Result<Reply, Refusa
         }
     }
     found.sort();
+    let all = found.len();
     found.truncate(MAX_PICTURES);
-    Ok(Reply::Json(json!({ "folder": desk.places.shown(&folder), "pictures": found })))
+    Ok(Reply::Json(json!({ "folder": desk.places.shown(&folder), "pictures": found, "all": all })))
 }
 
 fn is_picture(path: &Path) -> bool {
@@ -129,7 +131,10 @@ pub(super) fn keep(desk: &Desk, asked: &Dropped) -> Result<Reply, Refusal> {
                 desk.places.shown(&path)
             )));
         }
-        Err(_) => atomic_file::write(&path, &bytes).map_err(|error| unwritten(&path, &error))?,
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            atomic_file::write(&path, &bytes).map_err(|error| unwritten(&path, &error))?;
+        }
+        Err(error) => return Err(unwritten(&path, &error)),
     }
     Ok(Reply::Json(json!({ "picture": desk.places.shown(&path) })))
 }

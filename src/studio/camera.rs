@@ -11,10 +11,13 @@ use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{Builder, JoinHandle};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Pictures that are looked at are no wider, pixels.
 const WIDTH_PX: u32 = 960;
+/// A picture that is older than this, and than so many steps from frame to frame, is not what the camera sees now.
+const STALE: Duration = Duration::from_secs(2);
+const STALE_STEPS: u32 = 4;
 
 /// A camera that runs until this is dropped.
 pub(crate) struct Camera {
@@ -39,8 +42,24 @@ pub(super) struct SearchedFrame {
 #[derive(Default)]
 struct Newest {
     frame: Option<Arc<Frame>>,
+    /// When it came, and how long after the one before.
+    came: Option<(Instant, Duration)>,
     /// Why there are no more, when that is so.
     ended: Option<String>,
+}
+
+impl Newest {
+    fn put(&mut self, frame: Frame) {
+        let now = Instant::now();
+        let step = self.came.map_or(Duration::ZERO, |(before, _)| now - before);
+        (self.frame, self.came) = (Some(Arc::new(frame)), Some((now, step)));
+    }
+
+    /// How long no frame has come, if that is longer than the camera's pace explains.
+    fn silence(&self) -> Option<Duration> {
+        let (came, step) = self.came?;
+        Some(came.elapsed()).filter(|age| *age > STALE.max(step * STALE_STEPS))
+    }
 }
 
 impl Camera {
@@ -62,7 +81,7 @@ impl Camera {
                     break "the studio has ended".to_owned();
                 }
                 match source.next_frame() {
-                    Ok(Some(frame)) => lock(&shared).frame = Some(Arc::new(frame)),
+                    Ok(Some(frame)) => lock(&shared).put(frame),
                     Ok(None) => break "it has ended; its last picture is shown".to_owned(),
                     Err(error) => break error.to_string(),
                 }
@@ -89,6 +108,18 @@ impl Camera {
         newest.frame.clone().ok_or_else(none)
     }
 
+    /// The newest frame, unless the camera has fallen silent: to be kept as what it sees now.
+    pub(super) fn current(&self) -> Result<Arc<Frame>, Refusal> {
+        let silence = lock(&self.newest).silence();
+        match silence {
+            None => self.newest(),
+            Some(silence) => {
+                let words = format!("{}: no picture for {:.0} s", self.name, silence.as_secs_f64());
+                Err(Refusal { status: 503, words })
+            }
+        }
+    }
+
     /// The frame that was looked at last.
     pub(super) fn looked(&self) -> MutexGuard<'_, Option<SearchedFrame>> {
         lock(&self.looked)
@@ -102,12 +133,16 @@ impl Camera {
     /// The newest picture, scaled; nothing when the page has it.
     pub(super) fn look(&self, asked: &LookAsked) -> Result<Reply, Refusal> {
         let frame = self.newest()?;
-        let ended = lock(&self.newest).ended.clone();
-        if asked.after == Some(frame.seq) && ended.is_none() {
+        let (ended, silence) = {
+            let newest = lock(&self.newest);
+            (newest.ended.clone(), newest.silence().map(|silence| silence.as_secs()))
+        };
+        if asked.after == Some(frame.seq) && ended.is_none() && silence.is_none() {
             return Ok(Reply::Nothing);
         }
         let jpeg = shown::jpeg(&mut lock(&self.to_bgr), &frame.picture, Some(WIDTH_PX))?;
-        Ok(Reply::Json(json!({ "seq": frame.seq, "jpeg": BASE64_STANDARD.encode(jpeg), "ended": ended })))
+        let jpeg = BASE64_STANDARD.encode(jpeg);
+        Ok(Reply::Json(json!({ "seq": frame.seq, "jpeg": jpeg, "ended": ended, "silent_s": silence })))
     }
 }
 

@@ -83,6 +83,15 @@ impl Desk {
         self.runs.get(&self.places.existing(text)?)
     }
 
+    /// The same, if it is still as the page has read it.
+    pub(super) fn run_as_read(&self, text: &str, version: Option<&str>) -> Result<Arc<Run>, Refusal> {
+        let run = self.run(text)?;
+        if version.is_some_and(|version| version != run.version()) {
+            return Err(Refusal::tracked_again());
+        }
+        Ok(run)
+    }
+
     /// The rate that was stated on the command line, if a recording needs one.
     pub(super) fn stated_rate(&self, path: &Path) -> Option<FrameRate> {
         self.start.fps.filter(|_| path.is_dir() && !path.join("times.csv").is_file())
@@ -99,8 +108,10 @@ impl Desk {
         let mut reels = self.reels.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(at) = reels.iter().position(|reel| reel.path() == path) {
             let reel = reels.remove(at);
-            reels.push(Arc::clone(&reel));
-            return Ok(reel);
+            if reel.is_current() {
+                reels.push(Arc::clone(&reel));
+                return Ok(reel);
+            }
         }
         let options = SourceOptions { stated_rate: self.stated_rate(path), ..SourceOptions::default() };
         let reel = Reel::open(path, options)?;

@@ -111,6 +111,11 @@ impl Refusal {
         Self { status: 400, words: words.to_string() }
     }
 
+    /// The page works with what is there no more.
+    fn tracked_again() -> Self {
+        Self { status: 409, words: "the run was tracked again since the page read it: open it once more".to_owned() }
+    }
+
     /// It is not for the page.
     fn forbidden(words: impl ToString) -> Self {
         Self { status: 403, words: words.to_string() }

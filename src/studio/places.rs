@@ -90,7 +90,7 @@ impl Places {
         let folder = self.existing(text)?;
         let unread = |error: std::io::Error| Refusal::wrong(format!("{text}: cannot be read: {error}"));
         let mut entries = Vec::new();
-        for entry in std::fs::read_dir(&folder).map_err(unread)?.take(MAX_LISTED) {
+        for entry in std::fs::read_dir(&folder).map_err(unread)? {
             let path = entry.map_err(unread)?.path();
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
@@ -106,6 +106,7 @@ impl Places {
             entries.push(Entry { kind, name, path: self.shown(&path) });
         }
         entries.sort();
+        entries.truncate(MAX_LISTED);
         Ok(entries)
     }
 }

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Builder;
+use std::time::SystemTime;
 
 /// Memory of the frames that are kept, bytes, and how many at least.
 const KEPT_BYTES: usize = 120_000_000;
@@ -23,11 +24,18 @@ const DECODED_BEFORE: usize = 5;
 /// A recording that is open.
 pub(super) struct Reel {
     path: PathBuf,
+    /// When it was changed last, and its length.
+    changed: Option<(SystemTime, u64)>,
     options: SourceOptions,
     size_px: [u32; 2],
     hint: Option<u64>,
     index: Arc<Index>,
     hand: Mutex<ReelState>,
+}
+
+fn changed(path: &Path) -> Option<(SystemTime, u64)> {
+    let about = std::fs::metadata(path).ok()?;
+    Some((about.modified().ok()?, about.len()))
 }
 
 /// The times of its frames.
@@ -64,6 +72,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Reel {
     /// Opens a recording, and reads its first frame.
     pub(super) fn open(path: &Path, options: SourceOptions) -> Result<Arc<Self>, Refusal> {
+        let changed = changed(path);
         let mut source = opened(path, options)?;
         let (size_px, hint) = (source.size_px(), source.frame_count_hint());
         let first = source.next_frame().map_err(Refusal::wrong)?;
@@ -72,11 +81,16 @@ impl Reel {
         lock(&index.state).stamps_ns.push(first.stamp.ns);
         let mut hand = ReelState { reader: Some((1, source)), ..ReelState::default() };
         hand.kept.push_back((0, Arc::new(first)));
-        let reel = Self { path: path.to_owned(), options, size_px, hint, index, hand: Mutex::new(hand) };
+        let reel = Self { path: path.to_owned(), changed, options, size_px, hint, index, hand: Mutex::new(hand) };
         let (index, path) = (Arc::clone(&reel.index), path.to_owned());
         let read = move || index.fill(&path, SourceOptions { decoder_threads: 1, ..options });
         Builder::new().name("studio index".to_owned()).spawn(read).map_err(Refusal::wrong)?;
         Ok(Arc::new(reel))
+    }
+
+    /// Whether it is still the recording that was opened.
+    pub(super) fn is_current(&self) -> bool {
+        changed(&self.path) == self.changed
     }
 
     pub(super) fn path(&self) -> &Path {

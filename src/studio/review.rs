@@ -58,6 +58,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
     let (vetoes, vetoes_of_none) = veto::standing(&run)?;
     Ok(Reply::Json(json!({
         "run": asked.run,
+        "version": run.version(),
         "recording": run.recording,
         "rig": run.rig_path,
         "markers": run.markers,
@@ -85,11 +86,12 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
 pub(super) struct FrameAsked {
     run: String,
     row: usize,
+    version: Option<String>,
 }
 
 /// One frame of a run: what was found in it, and which picture it is.
 pub(super) fn frame(desk: &Desk, asked: &FrameAsked) -> Result<Reply, Refusal> {
-    let run = desk.run(&asked.run)?;
+    let run = desk.run_as_read(&asked.run, asked.version.as_deref())?;
     let beyond = || Refusal::wrong(format!("row {}: the run has {}", asked.row, run.rows.len()));
     let row = run.rows.get(asked.row).ok_or_else(beyond)?;
     let bands: Vec<Value> = run

@@ -142,6 +142,12 @@ impl Run {
         changed(&self.folder) == self.changed
     }
 
+    /// Differs once it is tracked again.
+    pub(super) fn version(&self) -> String {
+        let since_1970 = |at: SystemTime| at.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_nanos();
+        self.changed.map(|at| at.map_or(0, since_1970).to_string()).join("-")
+    }
+
     fn table(&mut self, path: &Path) -> Result<(), Refusal> {
         let table = Recording::as_measured(path).map_err(Refusal::wrong)?;
         self.markers = table.markers;

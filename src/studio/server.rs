@@ -21,8 +21,8 @@ use tokio::sync::oneshot;
 
 /// What the page sends is shorter, bytes.
 const MAX_BODY: usize = 256 * 1024;
-/// But for a picture that is dropped in.
-const MAX_PICTURE: usize = 48 * 1024 * 1024;
+/// But for a picture of up to 48 MB that is dropped in: it comes in base64.
+const MAX_PICTURE: usize = 48 * 1024 * 1024 / 3 * 4 + MAX_BODY;
 /// A header that says what a picture is of.
 const ABOUT: HeaderName = HeaderName::from_static("x-about");
 /// Requests that are worked on at once.

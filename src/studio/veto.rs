@@ -18,18 +18,18 @@ pub(super) struct Asked {
     row: usize,
     /// Number of the frame that the page shows as this row.
     seq: Option<u64>,
+    version: Option<String>,
     vetoed: bool,
     comment: String,
 }
 
 /// Vetoes a frame, or takes that back.
 pub(super) fn veto(desk: &Desk, asked: &Asked) -> Result<Reply, Refusal> {
-    let run = desk.run(&asked.run)?;
+    let run = desk.run_as_read(&asked.run, asked.version.as_deref())?;
     let beyond = || Refusal::wrong(format!("row {}: the run has {}", asked.row, run.rows.len()));
     let row = run.rows.get(asked.row).ok_or_else(beyond)?;
     if asked.seq.is_some_and(|seq| seq != row.seq) {
-        let words = "the run was tracked again since the page read it: open it once more".to_owned();
-        return Err(Refusal { status: 409, words });
+        return Err(Refusal::tracked_again());
     }
     let comment = asked.comment.trim();
     if comment.is_empty() || comment.len() > MAX_COMMENT_BYTES {

@@ -7,7 +7,7 @@
 //!
 //! Method, with one file for each step: one observed point per command (`pauses`), rigid alignment (`align`), plane and
 //! circle (`plane`, `circle`), lag by cross-correlation in space (`lag`), the start of the commands (`start_time`),
-//! comparison of the periods with each other (`settling`, `periods`).
+//! comparison of the periods with each other (`settling`, `periods`, `unrepeated`).
 //!
 //! Conventions. Everything is in the base frame, metres. The error of a run is the root mean square distance in space.
 //! A run's alignment maps observed points to desired ones. Phase is negative for a late response: φ = −360° · Δt / T.
@@ -37,6 +37,7 @@ mod step;
 #[cfg(test)]
 mod tests;
 mod timing;
+mod unrepeated;
 mod write;
 
 pub(crate) use error::ValidateError;

@@ -13,6 +13,7 @@ use super::settling::Settling;
 use super::start_time::StartFrom;
 use super::step::Step;
 use super::timing::{Marked, Observed, Timing, WEAK_CORRELATION, all_periods_are_there, marked, timing};
+use super::unrepeated;
 use crate::series::{Frame, Recording};
 use crate::source::times::seconds;
 use crate::vetoes::VETOED;
@@ -121,7 +122,8 @@ pub(crate) struct Run {
     pub scatter_m: Option<f64>,
     /// The tracker's σ of a coordinate, root mean square, metres.
     pub sd_m: Option<f64>,
-    /// What that noise makes of the magnitude, in parts of it, and of the phase, radians: σ of both.
+    /// What noise makes of the magnitude, in parts of it, and of the phase, radians: σ of both. The larger of what
+    /// `sd_m` gives and of what does not repeat.
     pub response_sd: Option<f64>,
     /// Notes about this run for the reader.
     pub notes: Vec<String>,
@@ -169,9 +171,9 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let counted = means.get(skipped..).unwrap_or_default();
     let numbered = means.iter().enumerate().skip(skipped);
     let mut steps: Vec<Step> = numbered.map(|(k, mean)| step(path, pause_ns, k, mean.as_ref())).collect();
+    all_periods_are_there(path, recording, &window)?;
     let pairs = pairs(path, &steps).map_err(unusable)?;
     let left_out = steps.len() - pairs.len();
-    all_periods_are_there(path, recording, &window)?;
     notes.extend(many_left_out(left_out, steps.len()));
 
     // 3. errors
@@ -235,7 +237,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         periods,
         tangent_rms_rad: tangent_rms_rad(path, recording, skipped, mean),
         scatter_m: scatter_m(counted.iter().flatten()),
-        response_sd: response_sd(sd_m, seen, magnitude.as_ref()),
+        response_sd: response_sd(path, &steps, (sd_m, seen), magnitude.as_ref()),
         sd_m,
         notes,
         steps,
@@ -361,10 +363,17 @@ fn tangent_rms_rad(
     (!angles.is_empty()).then(|| rms(angles.into_iter()))
 }
 
-/// σ of a size and of a turn from `frames` places with independent errors of `sd_m` in each coordinate: one coordinate
-/// of each counts, along the radius for the one and across it for the other.
-fn response_sd(sd_m: Option<f64>, frames: usize, magnitude: Option<&Magnitude>) -> Option<f64> {
-    Some(sd_m? / (frames as f64).sqrt() / magnitude?.observed_m).filter(|sd| sd.is_finite())
+/// σ of a size and of a turn, from `frames` places with independent errors of `sd_m` in each coordinate (one coordinate
+/// of each counts, along the radius for the one and across it for the other), and from what does not repeat.
+fn response_sd(
+    path: &DesiredPath,
+    steps: &[Step],
+    (sd_m, frames): (Option<f64>, usize),
+    magnitude: Option<&Magnitude>,
+) -> Option<f64> {
+    let independent_m = sd_m? / (frames as f64).sqrt();
+    let sd_m = unrepeated::sd_m(path, steps).map_or(independent_m, |seen_m| seen_m.max(independent_m));
+    Some(sd_m / magnitude?.observed_m).filter(|sd| sd.is_finite())
 }
 
 fn scatter_m<'a>(means: impl Iterator<Item = &'a Mean>) -> Option<f64> {

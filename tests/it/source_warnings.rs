@@ -131,6 +131,36 @@ fn a_missing_number_at_a_stated_rate_and_sixteen_bits_are_named() {
     assert!(found[0].contains("img900.png, and the numbers are not evenly spaced"), "{found:?}");
 }
 
+/// One that is not of the sequence would shift all after it.
+#[test]
+fn pictures_of_which_some_have_no_number_have_no_times_by_rate() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["f_0001", "f_0002", "f_0004", "background"] {
+        image::GrayImage::new(8, 6).save(folder.path().join(format!("{name}.png"))).unwrap();
+    }
+    let options = SourceOptions { stated_rate: Some("25".parse().unwrap()), ..SourceOptions::default() };
+    let error = source::open(folder.path(), options).err().unwrap().to_string();
+    assert!(
+        error.contains("background.png: its name does not end with a number, as that of f_0001.png does"),
+        "{error}"
+    );
+    std::fs::remove_file(folder.path().join("background.png")).unwrap();
+    assert!(warnings(folder.path(), options)[0].contains("lost pictures: 1"));
+}
+
+#[test]
+fn milliseconds_in_a_column_of_seconds_are_doubted() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut table = "file,t_s\n".to_owned();
+    for i in 0..5 {
+        image::GrayImage::new(8, 6).save(folder.path().join(format!("{i}.png"))).unwrap();
+        table += &format!("{i}.png,{}\n", 16.667 * f64::from(i));
+    }
+    std::fs::write(folder.path().join("times.csv"), table).unwrap();
+    let found = warnings(folder.path(), SourceOptions::default());
+    assert!(found[0].contains("the pictures are 16.667 s apart: t_s is in seconds; are these times?"), "{found:?}");
+}
+
 #[test]
 fn a_recording_that_asks_to_be_turned_is_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -110,6 +110,9 @@ impl Columns {
                 for (column, name) in columns.iter_mut().zip([x, y, z]) {
                     if name != "-" {
                         let found = find(name).ok_or_else(|| format!("has no column `{name}`; it has {there}"))?;
+                        if self.coils.iter().filter(|coil| *coil == name).count() > 1 {
+                            return Err(format!("column `{name}` is given for more than one coil"));
+                        }
                         *column = Some(found);
                     }
                 }
@@ -252,6 +255,19 @@ fn summary(name: &str, moments: &[Moment], rate: f64, out: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_column_belongs_to_one_coil() {
+        let of = |coils: &str| {
+            let names = ["a", "b"].map(str::to_owned);
+            Columns { coils: coils.split(',').map(str::to_owned).collect() }.of(&names)
+        };
+        assert_eq!(of("b,-,a"), Ok([Some(1), None, Some(0)]));
+        assert_eq!(of("-,-,b"), Ok([None, None, Some(1)]));
+        assert_eq!(of("a,a,b").unwrap_err(), "column `a` is given for more than one coil");
+        assert_eq!(of("a,b,c").unwrap_err(), "has no column `c`; it has a, b");
+        assert_eq!(of("a,b").unwrap_err(), "--coils: 2 names, expected three: the columns of the coils x, y, z");
+    }
 
     #[test]
     fn its_own_tables_are_told_from_those_of_tracked_runs() {

@@ -23,6 +23,7 @@ use crate::report::RunInfo;
 use crate::rig::Rig;
 use crate::sink::{CurrentSample, PublishSink, Sink, UdpSink};
 use crate::source::host::HostClock;
+use crate::source::names::without_credentials;
 use crate::studio::Watch;
 use crate::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
@@ -158,13 +159,13 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         }
         None => args.from.open(&args.source, rig.camera.size_px, clock, &until.stop)?,
     };
-    fitting::check_size(&args.source, source.size_px(), (&args.rig, &rig))?;
+    fitting::check_size(&args.name(), source.size_px(), (&args.rig, &rig))?;
     let files = Files::new(&args.folder(), None, false).recording(args.record);
     let latest = args.studio.is_some().then(|| Arc::new(live::Latest::default()));
     let switch = args.studio.is_some().then(|| Arc::new(recording::switch(args.record)));
     let watch = |(latest, switch): (&Arc<live::Latest>, &Arc<RecordSwitch>)| {
         let folder = files.folder.display().to_string();
-        Watch::new(Arc::clone(latest), &rig, &args.source, &folder)
+        Watch::new(Arc::clone(latest), &rig, &args.name(), &folder)
             .recording(Arc::clone(switch), recording::record_words())
     };
     let watched = args.studio.as_ref().zip(latest.as_ref().zip(switch.as_ref()));
@@ -182,7 +183,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let publisher = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
     let subscribers = subscribers.into_iter().chain(publisher).collect();
     let outputs = Outputs { files: opened.sinks, controllers, subscribers, currents, pictures, latest };
-    let mut line = StatusLine::new(&args.source, &files.folder, quiet);
+    let mut line = StatusLine::new(&args.name(), &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
     let show = |status: &live::Status| line.show(status);
     let (began, work) = (Instant::now(), Work::new());
@@ -195,7 +196,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         files.add_budget_or_warn(&run, &sources);
     }
     let mut text = String::new();
-    summary::summary(&mut text, &args.source, &live.run, &files, &rig)
+    summary::summary(&mut text, &args.name(), &live.run, &files, &rig)
         .and_then(|()| text.write_str(&lines(&live, args.record.is_some())))
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
     let views: Vec<String> = rig.views.iter().map(|view| view.name.clone()).collect();
@@ -229,7 +230,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 
 /// What to say when there was nothing to track to the end.
 fn no_frame(args: &Args, live: &LiveSummary) -> Option<String> {
-    (live.run.tally.frames == 0).then(|| format!("{}: no frame was received", args.source))
+    (live.run.tally.frames == 0).then(|| format!("{}: no frame was received", args.name()))
 }
 
 /// An error when rows are missing, no frame came, or the run ended badly.
@@ -243,7 +244,7 @@ fn verdict_of(args: &Args, rig: &Rig, live: LiveSummary) -> Result<(), Failure> 
     if let Some(text) = no_frame(args, &live).filter(|_| matches!(live.run.end, End::Complete)) {
         return Err(Failure::new(Exit::Unusable, text));
     }
-    verdict(&args.source, rig, live.run)
+    verdict(&args.name(), rig, live.run)
 }
 
 /// The part of the summary specific to a live run.
@@ -321,6 +322,11 @@ impl Args {
         Simulated::of((&self.rig, rig), motion, self.duration).map(Some)
     }
 
+    /// The source as it is told and written.
+    fn name(&self) -> String {
+        without_credentials(&self.source)
+    }
+
     /// The requested folder, or the first free one.
     fn folder(&self) -> PathBuf {
         let free = || (1..).map(|n| PathBuf::from(format!("live-{n}"))).find(|folder| !folder.exists());
@@ -331,7 +337,7 @@ impl Args {
         Run {
             command: "live".to_owned(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            recording: self.source.clone(),
+            recording: self.name(),
             rig: unique_text(&whole_path(&self.rig)),
             frame: self.frame.word().to_owned(),
             from_s: None,
@@ -359,7 +365,7 @@ impl Args {
     fn info(&self) -> RunInfo {
         let camera = self.from.settings().into_iter().map(|(name, value)| (name.to_owned(), value));
         RunInfo {
-            source: self.source.clone(),
+            source: self.name(),
             rig: self.rig.display().to_string(),
             settings: camera.chain(provenance::of_this_run()).collect(),
             camera_frame: self.frame == Reference::Camera,

@@ -156,8 +156,8 @@ impl CurrentSource {
                 thread.spawn(move || parser.lines(reader, Start::OfLine, STOP_POLL_INTERVAL, &stop))?;
             }
             Self::Ros2 { topic, domain, everywhere } => {
-                let listener = Listener::open(topic, *domain, *everywhere)?;
-                thread.spawn(move || parser.messages(&listener, &stop))?;
+                let mut listener = Listener::open(topic, *domain, *everywhere)?;
+                thread.spawn(move || parser.messages(&mut listener, &stop))?;
             }
         }
         Ok(line)

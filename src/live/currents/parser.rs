@@ -9,15 +9,19 @@ use crate::source::times::{parse_seconds_ns, seconds};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
-use std::net::{IpAddr, UdpSocket};
+use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 
 /// Coils at most; more in a line is no sample.
 const MAX_COILS: usize = 64;
 /// A sample further from its arrival is not of this run.
 const MAX_SAMPLE_AGE_NS: i64 = 60_000_000_000;
+/// A sample stamped so long after its arrival comes from another clock.
+const AHEAD_NS: i64 = 5_000_000;
+/// Samples of which none arrives sooner after its time hardly are late on their way: their clock is behind.
+const BEHIND_NS: i64 = 200_000_000;
 /// Senders that are counted apart.
 const MAX_SENDERS: usize = 64;
 /// A header is shorter, bytes.
@@ -71,8 +75,15 @@ pub(super) struct Parser {
     /// Samples of a table whose time is that of their arrival, more or less; and those of other times.
     timely: u64,
     untimely: u64,
-    /// Who has sent datagrams, and how many.
-    senders: BTreeMap<IpAddr, u64>,
+    /// Least time from a sample's own time to its arrival, nanoseconds.
+    least_delay_ns: Option<i64>,
+    /// Lines of whole numbers between commas, before the first with a decimal point.
+    whole_numbers: u64,
+    decimal_points: bool,
+    /// Who has sent datagrams, and how many; who sent the last; whether some sent in turn.
+    senders: BTreeMap<SocketAddr, u64>,
+    last_sender: Option<SocketAddr>,
+    in_turn: bool,
 }
 
 impl Parser {
@@ -90,7 +101,12 @@ impl Parser {
             other_coils: 0,
             timely: 0,
             untimely: 0,
+            least_delay_ns: None,
+            whole_numbers: 0,
+            decimal_points: false,
             senders: BTreeMap::new(),
+            last_sender: None,
+            in_turn: false,
         }
     }
 
@@ -109,7 +125,7 @@ impl Parser {
         while !stop.load(Ordering::Relaxed) {
             match socket.recv_from(&mut bytes) {
                 Ok((length, sender)) => {
-                    self.count(sender.ip());
+                    self.count(sender);
                     self.take(bytes.get(..length).unwrap_or_default());
                 }
                 Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
@@ -122,16 +138,28 @@ impl Parser {
         self.report();
     }
 
-    fn count(&mut self, sender: IpAddr) {
-        if self.senders.len() == MAX_SENDERS && !self.senders.contains_key(&sender) {
-            return;
-        }
-        let datagrams = self.senders.entry(sender).or_default();
-        *datagrams += 1;
-        if *datagrams == 1 {
-            match self.senders.len() {
-                1 => tracing::info!("{}: currents come from {sender}", self.name),
-                many => tracing::warn!("{}: currents come from {sender} too: {many} computers send them", self.name),
+    /// Counts a datagram. A program may send each from another port; two programs that send come back by turns.
+    fn count(&mut self, sender: SocketAddr) {
+        let last = self.last_sender.replace(sender);
+        let (name, here, many) = (&self.name, sender.ip(), self.senders.len());
+        let is_new = self.senders.keys().all(|known| known.ip() != here);
+        match self.senders.get_mut(&sender) {
+            Some(datagrams) => {
+                *datagrams += 1;
+                if let Some(other) = last.filter(|other| *other != sender && !self.in_turn) {
+                    self.in_turn = true;
+                    tracing::warn!("{name}: currents come from {other} and {sender} by turns: two programs send them");
+                }
+            }
+            None if many == MAX_SENDERS => {}
+            None => {
+                match many {
+                    0 => tracing::info!("{name}: currents come from {here}"),
+                    _ if is_new => tracing::warn!("{name}: currents come from {here} too: several computers send them"),
+                    _ => {}
+                }
+                self.in_turn |= is_new && many > 0;
+                self.senders.insert(sender, 1);
             }
         }
     }
@@ -196,7 +224,7 @@ impl Parser {
     }
 
     /// Takes messages as they come.
-    pub(super) fn messages(&mut self, from: &Listener, stop: &AtomicBool) {
+    pub(super) fn messages(&mut self, from: &mut Listener, stop: &AtomicBool) {
         while !stop.load(Ordering::Relaxed) {
             match from.next() {
                 Some(line) => self.take(&line),
@@ -252,12 +280,9 @@ impl Parser {
                 } else {
                     self.untimely += 1;
                 }
-                if self.samples.try_send(sample).is_err() {
-                    self.full += 1;
-                    if self.full == 1 {
-                        tracing::warn!("{}: currents come faster than they are logged; some are lost", self.name);
-                    }
-                }
+                self.note_delay(&sample);
+                self.note_whole_numbers(bytes, &sample);
+                self.send(sample);
             }
             None => {
                 self.wrong += 1;
@@ -275,6 +300,56 @@ impl Parser {
                         said.escape_debug()
                     );
                 }
+            }
+        }
+    }
+
+    /// Rows of a table wait until they are logged. Once nobody logs any more, the run is over.
+    fn send(&mut self, sample: CurrentSample) {
+        if self.columns.is_some() {
+            let _ = self.samples.send(sample);
+        } else if let Err(TrySendError::Full(_)) = self.samples.try_send(sample) {
+            self.full += 1;
+            if self.full == 1 {
+                tracing::warn!("{}: currents come faster than they are logged; some are lost", self.name);
+            }
+        }
+    }
+
+    /// Warns of a sender whose clock is ahead of this computer's: of the first sample that has not been taken yet.
+    fn note_delay(&mut self, sample: &CurrentSample) {
+        if self.columns.is_some() || sample.host_ns == sample.arrival_ns {
+            return;
+        }
+        let delay_ns = sample.arrival_ns.saturating_sub(sample.host_ns);
+        let was_ahead = self.least_delay_ns.is_some_and(|least_ns| least_ns < -AHEAD_NS);
+        self.least_delay_ns = Some(self.least_delay_ns.map_or(delay_ns, |least_ns| least_ns.min(delay_ns)));
+        if delay_ns < -AHEAD_NS && !was_ahead {
+            tracing::warn!(
+                "{}: a sample has a time {:.3} s after its arrival: the sender's clock is ahead of this computer's, and \
+                 currents are logged so much too late; set both by NTP or PTP, or leave host_ns out",
+                self.name,
+                -seconds(delay_ns)
+            );
+        }
+    }
+
+    /// Warns of a line such as `0,4`: two coils, or 0.4 A with a decimal comma.
+    fn note_whole_numbers(&mut self, line: &[u8], sample: &CurrentSample) {
+        if self.columns.is_some() || line.starts_with(b"{") {
+            return;
+        }
+        self.decimal_points |= line.contains(&b'.');
+        let between_commas = line.contains(&b',') && line.iter().all(|byte| b"-+,0123456789\r".contains(byte));
+        if between_commas && !self.decimal_points && sample.current_a.iter().any(|a| *a != 0.0) {
+            self.whole_numbers += 1;
+            if self.whole_numbers == 1 {
+                tracing::warn!(
+                    "{}: `{}` is taken for {} currents in whole amperes; if the comma is a decimal one, write a point",
+                    self.name,
+                    String::from_utf8_lossy(line).trim_end().escape_debug(),
+                    sample.current_a.len()
+                );
             }
         }
     }
@@ -313,7 +388,7 @@ impl Parser {
                 tracing::warn!("{}: {count} {what}", self.name);
             }
         }
-        if self.senders.len() > 1 {
+        if self.in_turn {
             let each: Vec<String> = self.senders.iter().map(|(who, n)| format!("{n} from {who}")).collect();
             tracing::warn!("{}: datagrams: {}", self.name, each.join(", "));
         }
@@ -329,7 +404,14 @@ impl Parser {
                 self.untimely
             )
         });
-        silent.into_iter().chain(untimely).collect()
+        let behind = self.least_delay_ns.filter(|least_ns| *least_ns > BEHIND_NS).map(|least_ns| {
+            format!(
+                "every sample arrived {:.3} s or more after its time: the sender's clock is behind this computer's, and \
+                 currents are logged so much too early; set both by NTP or PTP, or leave host_ns out",
+                seconds(least_ns)
+            )
+        });
+        silent.into_iter().chain(untimely).chain(behind).collect()
     }
 
     fn sample(&self, bytes: &[u8], arrival_ns: i64) -> Option<CurrentSample> {
@@ -420,6 +502,47 @@ mod tests {
         assert!(table.doubts().concat().contains("none of 1 samples has a time of this run"), "{:?}", table.doubts());
         table.take(format!("{now},0.1").as_bytes());
         assert!(table.doubts().is_empty(), "{:?}", table.doubts());
+    }
+
+    #[test]
+    fn a_sender_whose_clock_is_wrong_is_told() {
+        let (mut parser, _line) = parser(None);
+        let mut take = |before_ns: i64| {
+            let host_ns = parser.clock.now_ns() - before_ns;
+            parser.take(format!(r#"{{"current_a":[0.1],"host_ns":{host_ns}}}"#).as_bytes());
+            parser.doubts().concat()
+        };
+        assert!(take(7_500_000_000).contains("every sample arrived 7.5"));
+        assert_eq!(take(1_000_000), "");
+        take(-7_500_000_000);
+        assert!(parser.least_delay_ns.unwrap() < -AHEAD_NS);
+    }
+
+    #[test]
+    fn whole_numbers_between_commas_are_doubted_until_there_is_a_decimal_point() {
+        for (lines, expected) in [
+            (["0,4", "0,2"].as_slice(), 2),
+            (&["0,0,0", "0", "1 0", "1, 0"], 0),
+            (&["0.5,0", "1,0"], 0),
+            (&[r#"{"current_a":[1,0]}"#], 0),
+        ] {
+            let (mut parser, _line) = parser(None);
+            lines.iter().for_each(|line| parser.take(line.as_bytes()));
+            assert_eq!(parser.whole_numbers, expected, "{lines:?}");
+        }
+    }
+
+    #[test]
+    fn two_programs_that_send_by_turns_are_told_from_one() {
+        let in_turn = |ports: &[u16]| {
+            let (mut parser, _line) = parser(None);
+            ports.iter().for_each(|port| parser.count(([127, 0, 0, 1], *port).into()));
+            parser.in_turn
+        };
+        assert!(in_turn(&[5000, 5001, 5000]));
+        // One that is started again, and one that takes another port each time.
+        assert!(!in_turn(&[5000, 5000, 5001, 5001]));
+        assert!(!in_turn(&(5000..5200).collect::<Vec<_>>()));
     }
 
     #[test]

@@ -5,9 +5,15 @@
 //! stopped. Its stamps may restart: the gap before its first frame is unknown and counts as 0, the interruption is
 //! counted ([`StreamFaults::interruptions`]). Standard input ends for good. A stream that is joined between two key
 //! frames begins with the next.
+//!
+//! A stream of bare pictures (Motion JPEG over HTTP, raw H.264) has no times, and those that libav gives it are invented:
+//! its frames are stamped on arrival ([`Clock::HostArrival`]), and lost ones show only as long steps, as of raw pictures.
 
 use super::super::host::{ClockFit, HostClock};
-use super::super::{Frame, FrameSource, SourceError, StreamFaults, VideoFile};
+use super::super::names::without_credentials;
+use super::super::stamps::StampWatch;
+use super::super::{Clock, Frame, FrameSource, HostTime, SourceError, StreamFaults, Timestamp, VideoFile};
+use super::catching_up::CatchingUp;
 use super::retry::until_back;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,6 +25,8 @@ type Arrived = (Frame, Option<Instant>);
 /// A live stream.
 pub struct Stream {
     url: String,
+    /// For messages.
+    name: String,
     /// `None` while the stream is lost.
     input: Option<VideoFile>,
     /// The first frame of a stream whose size was not known before.
@@ -26,6 +34,9 @@ pub struct Stream {
     size_px: [u32; 2],
     clock: HostClock,
     fit: ClockFit,
+    /// Of a stream without times.
+    arrivals: StampWatch,
+    catching_up: CatchingUp,
     stop: Arc<AtomicBool>,
     seq: u64,
     /// Faults of inputs that have ended.
@@ -39,9 +50,16 @@ impl Stream {
     /// When nobody answers, or the stream has no video.
     pub fn open(url: &str, clock: HostClock, stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
         let mut input = VideoFile::stream(url, &stop)?;
+        let name = without_credentials(url);
+        if !input.has_times() {
+            tracing::warn!(
+                "{name}: bare pictures without times: frames have the time of their arrival, and lost ones show only \
+                 as long steps; a sender that knows the times should send a container, such as MPEG-TS"
+            );
+        }
         let mut first = None;
         if input.size_px() == [0, 0] {
-            let unknown = |reason: String| SourceError::Stream { url: url.to_owned(), reason };
+            let unknown = |reason: String| SourceError::Stream { url: name.clone(), reason };
             let frame = input.next_frame().map_err(|error| match error {
                 _ if stop.load(Ordering::Relaxed) => unknown("interrupted before its first frame".to_owned()),
                 SourceError::Truncated { why, .. } => unknown(why),
@@ -52,7 +70,21 @@ impl Stream {
         }
         let size_px = input.size_px();
         let (fit, past) = (ClockFit::default(), StreamFaults::default());
-        Ok(Self { url: url.to_owned(), input: Some(input), first, size_px, clock, fit, stop, seq: 0, past })
+        let (arrivals, catching_up) = (StampWatch::new(name.clone(), None, 0.0), CatchingUp::new(0.0));
+        Ok(Self {
+            url: url.to_owned(),
+            name,
+            input: Some(input),
+            first,
+            size_px,
+            clock,
+            fit,
+            arrivals,
+            catching_up,
+            stop,
+            seq: 0,
+            past,
+        })
     }
 
     /// The next frame of the input, if there is one.
@@ -70,13 +102,20 @@ impl FrameSource for Stream {
         let comes_back = self.url != "-";
         while !self.stop.load(Ordering::Relaxed) {
             let Some(next) = self.next() else {
-                self.input = until_back(&self.url, "stream", &self.stop, || VideoFile::stream(&self.url, &self.stop));
+                self.input = until_back(&self.name, "stream", &self.stop, || VideoFile::stream(&self.url, &self.stop));
                 continue;
             };
             let reason = match next {
                 Ok(Some((mut frame, arrival))) => {
                     let arrival_ns = self.clock.at_ns(arrival.unwrap_or_else(Instant::now));
-                    frame.host = Some(self.fit.map(frame.stamp.ns, arrival_ns));
+                    frame.host = Some(if self.input.as_ref().is_none_or(VideoFile::has_times) {
+                        self.fit.map(frame.stamp.ns, arrival_ns)
+                    } else {
+                        let missing = self.arrivals.gap(arrival_ns, self.seq, &mut self.past);
+                        frame.gap = self.catching_up.lost(arrival_ns, missing);
+                        frame.stamp = Timestamp { ns: arrival_ns, clock: Clock::HostArrival };
+                        HostTime { arrival_ns, stamp_ns: arrival_ns }
+                    });
                     frame.seq = self.seq;
                     self.seq += 1;
                     return Ok(Some(frame));
@@ -87,9 +126,11 @@ impl FrameSource for Stream {
                 Ok(None) => "it has ended".to_owned(),
                 Err(error) => error.to_string(),
             };
-            tracing::warn!("{}: the stream is interrupted ({reason}); waiting for it to come back", self.url);
+            tracing::warn!("{}: the stream is interrupted ({reason}); waiting for it to come back", self.name);
             self.past.add(self.input.take().map(|input| input.faults()).unwrap_or_default());
             self.past.interruptions += 1;
+            self.arrivals = StampWatch::new(self.name.clone(), None, 0.0);
+            self.catching_up = CatchingUp::new(0.0);
         }
         Ok(None)
     }
@@ -131,5 +172,34 @@ mod tests {
             let error = end(bytes).unwrap();
             assert!(matches!(&error, SourceError::Truncated { why, .. } if why.contains("in the middle")), "{error}");
         }
+    }
+
+    /// What libav gives as their times is 25 per second, whenever they came.
+    #[test]
+    fn bare_pictures_have_the_time_of_their_arrival() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pictures.mjpeg");
+        let mut jpeg = std::io::Cursor::new(Vec::new());
+        image::RgbImage::from_pixel(64, 48, image::Rgb([90, 20, 200]))
+            .write_to(&mut jpeg, image::ImageFormat::Jpeg)
+            .unwrap();
+        std::fs::write(&path, jpeg.into_inner().repeat(6)).unwrap();
+        let clock = HostClock::start();
+        let mut stream = Stream::open(path.to_str().unwrap(), clock, Arc::default()).unwrap();
+        let mut last_ns = clock.started_ns();
+        for seq in 0..5 {
+            let frame = stream.next_frame().unwrap().unwrap();
+            assert_eq!((frame.seq, frame.stamp.clock, frame.gap), (seq, Clock::HostArrival, 0));
+            assert!((last_ns..=clock.now_ns()).contains(&frame.stamp.ns));
+            assert_eq!(frame.host.unwrap(), HostTime { arrival_ns: frame.stamp.ns, stamp_ns: frame.stamp.ns });
+            last_ns = frame.stamp.ns;
+        }
+        // As a recording they need a rate; one that is a picture, or a pattern of names, is no recording.
+        let open = |name: &str| VideoFile::open(folder.path().join(name), Default::default()).unwrap_err().to_string();
+        assert!(open("pictures.mjpeg").contains("has no time stamp"), "{}", open("pictures.mjpeg"));
+        for name in ["f%03d.jpg", "f000.jpg"] {
+            std::fs::copy(&path, folder.path().join(name)).unwrap();
+        }
+        assert!(open("f%03d.jpg").contains("pictures are read from a folder"), "{}", open("f%03d.jpg"));
     }
 }

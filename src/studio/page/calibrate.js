@@ -83,6 +83,10 @@ export class Calibrate {
         this.element.dataset.look = reply.seq;
         if (reply.ended && !this.cameraEnded) say(`${this.camera.name}: ${reply.ended}`, true);
         this.cameraEnded = reply.ended;
+        if (reply.silent_s !== null && !reply.ended)
+          say(`${this.camera.name}: no picture for ${reply.silent_s} s; the last one is shown`, true);
+        else if (this.silent) say("The camera is back.");
+        this.silent = reply.silent_s !== null && !reply.ended;
       }
     } catch (error) {
       complain(error);
@@ -280,9 +284,11 @@ export class Calibrate {
   }
 
   async useFolder() {
-    const { pictures } = await ask("board/pictures", { folder: this.folder.value });
-    if (!pictures.length) say(`${this.folder.value} has no pictures`, true);
+    const { pictures, all } = await ask("board/pictures", { folder: this.folder.value });
     for (const picture of pictures) await this.add(picture);
+    if (!pictures.length) say(`${this.folder.value} has no pictures`, true);
+    else if (all > pictures.length)
+      say(`The first ${pictures.length} of ${all} pictures are used; the command line takes all of them.`, true);
   }
 
   async add(path, look = true) {
@@ -338,8 +344,15 @@ export class Calibrate {
 
   async judgeAll() {
     const form = this.form();
-    if (!form.pictures.length || !this.rig) return this.tell();
-    const judged = await ask("board/judge", form);
+    if (!form.pictures.length || !this.rig) {
+      this.verdicts = [];
+      return this.tell();
+    }
+    // What cannot be judged has no verdict; that of other pictures is not shown for it.
+    const judged = await ask("board/judge", form).catch((error) => ({
+      pictures: form.pictures.length,
+      error: error.message,
+    }));
     this.verdicts = this.verdicts.filter((v) => v.pictures !== judged.pictures).concat(judged);
     this.element.dataset.judged = judged.pictures;
     this.tell();

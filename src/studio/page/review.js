@@ -273,7 +273,7 @@ export class Review {
   }
 
   async showRow(row) {
-    const found = await ask("run/frame", { run: this.path, row });
+    const found = await ask("run/frame", { run: this.path, row, version: this.run.version });
     let picture = null;
     if (found.recording)
       picture = await askPicture("frame", { recording: found.recording, frame: found.frame, width: null });
@@ -361,7 +361,14 @@ export class Review {
     }
     // The frame that is shown: another one may be on its way.
     const { row, seq } = this.found;
-    const reply = await ask("run/veto", { run: this.path, row, seq, vetoed, comment: this.comment.value });
+    const reply = await ask("run/veto", {
+      run: this.path,
+      row,
+      seq,
+      version: this.run.version,
+      vetoed,
+      comment: this.comment.value,
+    });
     this.vetoes = reply.vetoes;
     this.comment.value = "";
     // Keys step through the frames again.

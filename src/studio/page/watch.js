@@ -209,7 +209,12 @@ export class Watch {
     // Host's time and camera's stand to each other as in the last frame.
     const shift = (last?.host_s ?? null) === null ? null : last.t_s - last.host_s;
     if (shift === null) this.currents = this.currents.slice(-MAX_WAITING);
-    if (!last) return;
+    const missed = last ? this.draw(last, shift) : 0;
+    this.tell(status, last, missed);
+  }
+
+  /** The plots of the last seconds; how many frames in them have no θ. */
+  draw(last, shift) {
     this.after = last.seq;
     this.rows = this.rows.filter((row) => row.t_s > last.t_s - SECONDS - 1);
     // Seconds before now.
@@ -254,13 +259,18 @@ export class Watch {
         })),
       );
     }
+    this.element.dataset.seq = last.seq;
+    return missed.length;
+  }
+
+  /** The angle now, and how the run goes. */
+  tell(status, last, missed) {
     // What was measured long ago is not the angle now.
     const silent = status.silent_s === null ? null : `no frame for ${status.silent_s.toFixed(0)} s`;
-    const now = silent === null ? last.theta_deg : null;
+    const now = silent === null ? last?.theta_deg : null;
     const [theta, sd] = now ?? [];
-    this.big.textContent = now ? `θ ${theta.toFixed(2)}° ± ${sd.toFixed(2)}°` : `θ – ${silent ?? last.status}`;
+    this.big.textContent = now ? `θ ${theta.toFixed(2)}° ± ${sd.toFixed(2)}°` : `θ – ${silent ?? last?.status ?? "no frame yet"}`;
     this.big.classList.toggle("bad", !now);
-    this.element.dataset.seq = last.seq;
     const ms = (v) => `${v.toFixed(2)} ms`;
     const figures = [
       [status.frames, "frames"],
@@ -270,7 +280,7 @@ export class Watch {
       [ms(status.p50_ms), "arrival to θ, median"],
       [ms(status.p99_ms), "99 of 100 within"],
       [ms(status.max_ms), "longest"],
-      [missed.length, `without θ in ${SECONDS} s`],
+      [missed, `without θ in ${SECONDS} s`],
       [status.backlog, "rows wait for the disk"],
     ];
     if (status.unlogged) figures.push([status.unlogged, "rows not logged"]);

@@ -448,3 +448,39 @@ fn results_as_files_have_an_entry_a_run() {
     assert_eq!(points.lines().count(), 601);
     assert!(points.lines().nth(1).unwrap().starts_with("200,1.600000000,"), "{points}");
 }
+
+/// Squares of the errors of magnitude and phase over their σ, on average over many runs whose noise lasts for a while:
+/// each frame takes over `lasting` of the noise of the one before.
+fn squares_over_sigma(lasting: f64, runs: u64) -> f64 {
+    let evaluated = |recording: &Recording| {
+        let observed = [Observed { recording, pause_s: 0.01, start_ns: Some(START_NS) }];
+        let row = validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0);
+        (row.magnitude.unwrap().db, row.phase_deg.unwrap(), row.response_sd.unwrap())
+    };
+    let clean = simulate(circle, 0.01, CORNER_HZ, CLEAN);
+    let (true_db, true_deg, _) = evaluated(&clean);
+    let mut sum = 0.0;
+    for seed in 0..runs {
+        let mut random = Random::new(seed);
+        let mut recording = clean.clone();
+        let mut noise = Vector3::zeros();
+        for point in recording.frames.iter_mut().flat_map(|frame| &mut frame.places).filter_map(|p| p.point.as_mut()) {
+            let new = Vector3::from_fn(|_, _| random.normal() * 5e-5);
+            noise = noise * lasting + new * (1.0 - lasting * lasting).sqrt();
+            *point += noise;
+        }
+        let (db, deg, sd) = evaluated(&recording);
+        let (size, turn) = (10_f64.powf((db - true_db) / 20.0) - 1.0, (deg - true_deg).to_radians());
+        sum += (size * size + turn * turn) / (sd * sd);
+    }
+    sum / (2 * runs) as f64
+}
+
+/// By the tracker's own σ alone it would be 1 and 15: (1 − ρ²) / (1 − 2 ρ cos ω + ρ²) at 0.5 Hz and 60 frames per second.
+#[test]
+fn sigma_of_the_response_counts_noise_that_persists() {
+    for lasting in [0.0, 0.9] {
+        let squares = squares_over_sigma(lasting, 100);
+        assert!((0.4..1.7).contains(&squares), "{lasting}: {squares}");
+    }
+}
