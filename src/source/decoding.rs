@@ -435,9 +435,9 @@ impl Decoding {
         if !self.draining || !self.damage.has_suspects() {
             self.undecoded.extend(self.damage.packet_is_damaged(later));
         }
-        if by_decoder {
-            // No picture will take its time.
-            self.in_turn.pop_back();
+        // No picture will take its time.
+        if by_decoder && let Some(at) = self.in_turn.len().checked_sub(1 + later as usize) {
+            self.in_turn.remove(at);
         }
         self.damaged_packets += 1;
         // Nonsensical times are never reached.

@@ -254,6 +254,29 @@ fn an_avi_whose_pictures_are_reordered_gives_all_of_them_in_turn() {
     );
 }
 
+/// A decoder of several threads tells of a packet that it cannot decode when it has later ones.
+#[test]
+fn a_broken_packet_of_an_avi_costs_its_own_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("broken.avi");
+    let pts: Vec<i64> = (0..50).collect();
+    write(&path, &Recording { pts: &pts, time_base: (1, 50), b_frames: 0, ..Recording::default() });
+    let sound = read(&path, 1);
+    assert_eq!(sound.len(), 50);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let chunks: Vec<usize> = (0..bytes.len() - 8).filter(|at| &bytes[*at..*at + 4] == b"00dc").collect();
+    let at = chunks[20];
+    let length = u32::from_le_bytes(bytes[at + 4..at + 8].try_into().unwrap()) as usize;
+    bytes[at + 8..at + 8 + length].fill(0x55);
+    std::fs::write(&path, &bytes).unwrap();
+    let found = [1, 2, 4].map(|threads| read(&path, threads));
+    let stamps = |frames: &[(i64, bool, Vec<u8>)]| frames.iter().map(|frame| frame.0).collect::<Vec<_>>();
+    for frames in &found {
+        assert_eq!(stamps(frames), stamps(&sound));
+        assert!(frames.iter().any(|frame| frame.1) && frames == &found[0]);
+    }
+}
+
 /// An edit list says which part of an MP4 is shown.
 #[test]
 fn what_an_edit_list_leaves_out_is_left_out() {
