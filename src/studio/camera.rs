@@ -167,3 +167,18 @@ pub(super) struct LookAsked {
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_is_silent_when_its_own_pace_does_not_explain_it() {
+        let after = |age_s: u64, step_s: u64| {
+            let came = Instant::now().checked_sub(Duration::from_secs(age_s)).unwrap();
+            Newest { came: Some((came, Duration::from_secs(step_s))), ..Newest::default() }.silence().is_some()
+        };
+        assert!(!after(1, 0) && after(3, 0) && !after(3, 1) && after(5, 1));
+        assert!(Newest::default().silence().is_none());
+    }
+}

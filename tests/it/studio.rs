@@ -262,6 +262,21 @@ fn a_run_is_looked_through_and_frames_are_vetoed() {
     assert!(said.contains("1 frame is vetoed that this run does not have (stamp_ns -1)"), "{said}");
     assert_eq!(veto(4, true, "glare").json()["vetoes"], json!({ "3": "bubble", "4": "glare" }));
 
+    // Tracked again since the page read it: the same row is another moment.
+    let asked = |name: &str| {
+        let more = json!({ "run": "run", "row": 5, "version": run["version"], "vetoed": true, "comment": "x" });
+        let less = json!({ "run": "run", "row": 5, "version": run["version"] });
+        studio.ask(name, if name == "run/veto" { &more } else { &less }).status
+    };
+    assert_eq!((asked("run/frame"), asked("run/veto")), (200, 200));
+    std::fs::write(folder.path().join("run/track.csv"), &before).unwrap();
+    assert_eq!((asked("run/frame"), asked("run/veto")), (409, 409));
+    // Another recording under the same name.
+    let picture = || studio.ask("frame", &json!({ "recording": "planar.mkv", "frame": 0, "width": null })).body;
+    let shown = picture();
+    std::fs::copy(file("sample_frames/rest.mkv"), folder.path().join("planar.mkv")).unwrap();
+    assert!(picture() != shown);
+
     // Without its log a run is a table; without its recording it has no pictures.
     std::fs::remove_file(folder.path().join("run/log.mcap")).unwrap();
     std::fs::rename(folder.path().join("planar.mkv"), folder.path().join("moved.mkv")).unwrap();
