@@ -56,6 +56,9 @@ pub(crate) enum ManifestError {
 
 /// The default name of a run of `recording`: its file name without extension.
 pub(crate) fn default_name(recording: &Path) -> String {
+    // Of `.` and `..` it is that of the folder that they are.
+    let whole = std::fs::canonicalize(recording).ok().filter(|_| recording.file_name().is_none());
+    let recording = whole.as_deref().unwrap_or(recording);
     let name = if recording.is_dir() { recording.file_name() } else { recording.file_stem() };
     name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }

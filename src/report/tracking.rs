@@ -8,8 +8,8 @@ use super::html::{Html, escape};
 use super::page::{self, facts_table, figure, signed, table, trouble};
 use crate::estimate::plain_words;
 use crate::plural::{are, plural};
-use crate::tally::budget::{Contribution, together};
-use crate::tally::{AlarmInWords, Drifted, MISSING_OF_LOG, MissCount, Tally};
+use crate::tally::budget::{Contribution, together, together_name};
+use crate::tally::{AlarmInWords, Drifted, FRAMES_JUDGED, MISSING_OF_LOG, MissCount, Tally};
 use std::collections::BTreeSet;
 
 /// The title of the page, and what is on it; `pictures` is a section of it.
@@ -187,7 +187,7 @@ fn error_budget(sources: &[Contribution]) -> String {
         Err(why) => unknown(source.name, why),
     };
     let mut rows: Vec<Vec<String>> = sources.iter().map(row).collect();
-    rows.push(line("together", together(sources)));
+    rows.push(line(together_name(sources), together(sources)));
     format!(
         "<p>The error budget, 1σ, typical of this run. Noise averages out over frames, the rest is there in all of \
          them alike; what time stamps add matters to dynamics only.</p>\n{}",
@@ -330,16 +330,32 @@ fn views(course: &Course, tally: &Tally) -> String {
 fn alarms(course: &Course, tally: &Tally) -> String {
     let alarms: Vec<AlarmInWords> = tally.alarms().collect();
     if alarms.is_empty() {
-        let base = if course.has_base() {
-            "The base band rests where the base frame has its origin, within 0.3 mm in the mean over seconds."
+        let (most, fewest) = FRAMES_JUDGED;
+        let views = if tally.drift.views_are_judged() {
+            format!(
+                "The views fit together all the time: no disagreement of more than 0.3 px in the mean over {most} frames."
+            )
         } else {
-            "(A mirror that was shifted along its normal can go unnoticed here: it moves the answer, not the residual. \
-             With a base frame in the rig the place of the base band shows it.)"
+            format!(
+                "Whether the views fit together was not judged: fewer than {fewest} frames show bands in two of them."
+            )
         };
-        return format!(
-            "<p>The views fit together all the time: no disagreement of more than 0.3 px in the mean over seconds. \
-             {base}</p>\n"
-        );
+        let base = match (course.has_base(), tally.drift.base_limit_m()) {
+            (_, Some(limit_m)) => format!(
+                "The base band rests where the base frame has its origin, within {:.1} mm in this mean.",
+                limit_m * 1e3
+            ),
+            (true, None) => format!(
+                "Whether the base band rests where the base frame has its origin was not judged: fewer than {fewest} \
+                 frames show it, or the first band is not one that rests."
+            ),
+            (false, None) => {
+                "(A mirror that was shifted along its normal can go unnoticed here: it moves the answer, not \
+                 the residual. With a base frame in the rig the place of the base band shows it.)"
+                    .to_owned()
+            }
+        };
+        return format!("<p>{views} {base}</p>\n");
     }
     let row = |alarm: &AlarmInWords| {
         let at = |ns: i64| format!("{:.3} s", course.origin().map_or(0.0, |origin| origin.elapsed_s(ns)));

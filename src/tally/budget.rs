@@ -175,6 +175,11 @@ pub fn together(sources: &[Contribution]) -> (f64, f64) {
     (theta.sqrt(), tip.sqrt())
 }
 
+/// What that sum is called.
+pub fn together_name(sources: &[Contribution]) -> &'static str {
+    if sources.iter().all(|source| source.share.is_ok()) { "together" } else { "together, of those known" }
+}
+
 /// Greatest common divisor.
 fn common(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { common(b, a % b) }

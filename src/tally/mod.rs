@@ -9,6 +9,7 @@
 pub mod budget;
 mod drift;
 
+pub(crate) use drift::FRAMES_JUDGED;
 pub use drift::{Drift, DriftAlarm, Drifted};
 
 use crate::estimate::{Estimate, Miss, Spot, Tick};

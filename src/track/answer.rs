@@ -29,14 +29,16 @@ pub(crate) fn estimate(
         })
         .collect();
     let mut tangent = Err(Miss::MarkerMissing);
-    for Fitted { group, views, result } in fitted {
+    for Fitted { group, views, result, directed } in fitted {
         for (i, &(m, s)) in group.members.iter().enumerate() {
             markers[m] = match result {
                 Ok(fit) => marker(rig, encoding, (group, i, s), views, fit),
                 Err(miss) => MarkerEstimate::missed(miss, rig.views.len()),
             };
         }
+        // Half of all tangents would be the other way round.
         if group.reference == rig.catheter.coil
+            && *directed
             && let Ok(fit) = result
         {
             let across = fit.shape.across();

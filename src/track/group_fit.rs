@@ -43,6 +43,8 @@ pub(crate) struct Fitted {
     pub group: Group,
     pub views: Vec<usize>,
     pub result: Result<TubeFit, Miss>,
+    /// Whether it is known which way along the tube the tip is.
+    pub directed: bool,
 }
 
 /// What the groups of a frame are fitted from.
@@ -72,7 +74,7 @@ impl GroupFitting<'_> {
         let fit = |group: Group| {
             let sees_all = |v: &usize| group.members.iter().all(|&(m, _)| sees(m, *v));
             let views: Vec<usize> = views.clone().filter(sees_all).collect();
-            Fitted { result: self.fit(&group, &views), group, views }
+            Fitted { result: self.fit(&group, &views), directed: self.is_directed(&group), group, views }
         };
         groups(self.rig, together).into_par_iter().map(fit).collect()
     }
@@ -83,7 +85,7 @@ impl GroupFitting<'_> {
         let starts = starts.collect::<Result<Vec<_>, Miss>>()?;
         let reference = self.assigned(group.reference)?.point;
         let direction = self.start_direction(group).ok_or(Miss::NotConverged)?;
-        let last = self.last[group.reference].as_ref();
+        let last = self.last(group);
         let looks_apart = self.fringes.look_at(group, views);
         let fitting = Fitting { looks_apart, ..self.fitting(group, views, None) };
         let accepted = |fit: Result<TubeFit, NoFit>| {
@@ -156,9 +158,14 @@ impl GroupFitting<'_> {
         }
     }
 
+    /// Its last fit, unless that may lie the other way round and a neighbour shows it now.
+    fn last(&self, group: &Group) -> Option<&Last> {
+        self.last[group.reference].as_ref().filter(|last| last.directed || self.chord(group).is_none())
+    }
+
     /// Its last shape, and how long ago that was, seconds, if recent enough.
     fn before(&self, group: &Group) -> Option<(&TubeShape, f64)> {
-        let last = self.last[group.reference].as_ref()?;
+        let last = self.last(group)?;
         Some((&last.shape, last.age_s(self.frame.stamp)?))
     }
 
@@ -210,23 +217,38 @@ impl GroupFitting<'_> {
         (from, if hidden(last + 1) { to.min(beside) } else { to })
     }
 
+    /// From the reference to the next band, or from the one before.
+    fn chord(&self, group: &Group) -> Option<Vector3<f64>> {
+        let m = group.reference;
+        let here = self.place(m)?;
+        match (m.checked_sub(1).and_then(|m| self.place(m)), self.place(m + 1)) {
+            (_, Some(next)) => Some(next - here),
+            (Some(previous), None) => Some(here - previous),
+            (None, None) => None,
+        }
+    }
+
+    /// Whether a neighbour tells which way the tip is, or did a moment ago. With a base frame the tube is within 90° of
+    /// where it rests; of a single band nothing else is ever known.
+    fn is_directed(&self, group: &Group) -> bool {
+        let before = || self.before(group).is_some() && self.last(group).is_some_and(|last| last.directed);
+        self.chord(group).is_some() || self.rig.base.is_some() || self.rig.markers.len() == 1 || before()
+    }
+
     /// Direction of the tube at the reference, base to tip: from its blobs' axes, or along the chord to its neighbours.
     fn start_direction(&self, group: &Group) -> Option<Vector3<f64>> {
-        let m = group.reference;
-        let here = self.found.assigned[m].as_ref().ok()?;
-        let chord = match (m.checked_sub(1).and_then(|m| self.place(m)), self.place(m + 1)) {
-            (_, Some(next)) => Some(next - here.point),
-            (Some(previous), None) => Some(here.point - previous),
-            (None, None) => None,
-        };
+        let here = self.found.assigned[group.reference].as_ref().ok()?;
+        let chord = self.chord(group);
         let seen = here.blobs.iter().zip(&self.rig.views);
         let axes: Vec<_> =
             seen.filter_map(|(blob, view)| blob.map(|blob| (view, self.found.blobs[blob].axis))).collect();
         match (direction_of_axes(&axes, &here.point), chord) {
             (Some(axis), Some(chord)) => Some(if axis.dot(&chord) < 0.0 { -axis } else { axis }),
-            // Without a neighbour the sign is undetermined: along gravity or, failing that, down in the picture.
+            // Without a neighbour the sign is that of a moment ago, or undetermined: along gravity or, failing that, down in
+            // the picture.
             (Some(axis), None) => {
-                let down = self.down().unwrap_or_else(Vector3::y);
+                let before = self.before(group).map(|(before, _)| before.tangent());
+                let down = before.or_else(|| self.down()).unwrap_or_else(Vector3::y);
                 Some(if axis.dot(&down) < 0.0 { -axis } else { axis })
             }
             (None, chord) => chord,

@@ -117,7 +117,7 @@ impl Judge {
         if let Some(ln_factor) = self.noisier.lasting(&differences) {
             self.usual.scale(ln_factor);
         }
-        for (Fitted { group, views, result }, residuals) in fitted.iter_mut().zip(&residuals) {
+        for (Fitted { group, views, result, .. }, residuals) in fitted.iter_mut().zip(&residuals) {
             let Ok(fit) = result else { continue };
             fit.covariance += fit.slip_covariance * variance_px2;
             // What is common to all bands and was not taken out.
@@ -186,7 +186,7 @@ impl Judge {
 
     /// Notes where the bands are. When they move for the first time, what was seen of them at rest is forgotten.
     fn follow_motion(&mut self, fitted: &[Fitted]) {
-        let images = fitted.iter().filter_map(|Fitted { group, views, result }| {
+        let images = fitted.iter().filter_map(|Fitted { group, views, result, .. }| {
             let images = result.as_ref().ok()?.views.iter().map(|view| view.image.at_arc(0.0).pixel);
             Some((group.reference, views.iter().copied().zip(images).collect()))
         });
@@ -196,7 +196,7 @@ impl Judge {
     }
 
     /// The residuals of a fit; none if there is no fit.
-    fn residuals(&self, encoding: &Encoding, Fitted { group, views, result }: &Fitted) -> Vec<Residual> {
+    fn residuals(&self, encoding: &Encoding, Fitted { group, views, result, .. }: &Fitted) -> Vec<Residual> {
         let of_views = result.iter().flat_map(|fit| &fit.views);
         let one = |(&view, fit): (&usize, &ViewFit)| {
             // Of a band that is alone for the first time, what was seen of it together with others.

@@ -14,6 +14,8 @@ const MAX_AGE_S: f64 = 0.06;
 pub(crate) struct Last {
     stamp: Timestamp,
     pub shape: TubeShape,
+    /// Whether it was known which way along the tube the tip is.
+    pub directed: bool,
     /// How it looked, if its start was so good that samples selected there served. Those of the next will, too.
     looks: Option<Looks>,
     /// If it was fitted shortly before as well.
@@ -48,7 +50,7 @@ impl Last {
             let since_s = before.age_s(stamp)?;
             Some(Motion::new(before.shape.step_to(shape) / since_s, since_s, before.motion.as_ref()))
         });
-        Self { stamp, shape: shape.clone(), looks: None, motion }
+        Self { stamp, shape: shape.clone(), directed: true, looks: None, motion }
     }
 
     /// A stretch fitted in some views, and the fit before it, perhaps together with other bands.
@@ -56,11 +58,13 @@ impl Last {
         stamp: Timestamp,
         stretch: &Stretch,
         views: &[usize],
-        fit: &TubeFit,
+        (fit, directed): (&TubeFit, bool),
         before: Option<&Self>,
     ) -> Self {
         let looks = || Looks { stretch: stretch.clone(), views: views.to_vec(), list: fit.looks() };
-        Self { looks: (fit.way_px < NEAR_PX).then(looks), ..Self::new(stamp, &fit.shape, before) }
+        // The way from a shape that may lie the other way round is no motion.
+        let before = before.filter(|before| before.directed == directed);
+        Self { directed, looks: (fit.way_px < NEAR_PX).then(looks), ..Self::new(stamp, &fit.shape, before) }
     }
 
     /// The looks of a stretch in some views, if it was seen so and is expected close to where it continues.

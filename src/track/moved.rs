@@ -187,11 +187,11 @@ impl Moved {
                 self.bends = self.bends + std::mem::take(&mut self.now).scatter();
             }
         }
+        self.swinging = self.swinging.saturating_add(u32::from(self.swing_m() > Some(SWINGS_M)));
     }
 
     /// The covariance of the move, m²; zero if there is none.
     pub(crate) fn covariance(&mut self) -> Matrix3<f64> {
-        self.swinging = self.swinging.saturating_add(u32::from(self.swing_m() > Some(SWINGS_M)));
         let (mut off, chi2) = self.off().unwrap_or_default();
         self.is_off = chi2 > if self.is_off { BACK_CHI2 } else { MIN_CHI2 };
         self.seen |= self.is_off;

@@ -23,6 +23,8 @@ const WINDOW_NS: i64 = 500_000_000;
 const MIN_FRAMES: usize = 4;
 /// Most frames: more tell little more.
 const MAX_FRAMES: usize = 120;
+/// So that they last for all of the time at high frame rates, too, of frames closer together only some count.
+const MIN_STEP_NS: i64 = WINDOW_NS / MAX_FRAMES as i64;
 /// Variance over the expected one, along the axis where that is largest, beyond which it is no chance: with many
 /// degrees of freedom, and how much more with few, times their number. Recordings by a camera at rest reach 1.7; with a
 /// coder that makes the band jump, 3.3.
@@ -39,6 +41,8 @@ pub(crate) struct Shake {
     recent: VecDeque<Sample>,
     seen: bool,
     rests: bool,
+    /// The last shake that was known, m²: it goes on while the band is not seen.
+    known: Matrix3<f64>,
 }
 
 #[derive(Debug)]
@@ -70,6 +74,10 @@ impl Shake {
     /// Adds a position of the base band, m, with its covariance, and the direction of the coil, if it was seen.
     pub(crate) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
         let Position { point, covariance, .. } = *base;
+        let is_close = |last: &Sample| (0..MIN_STEP_NS).contains(&(stamp.ns - last.ns));
+        if self.recent.back().is_some_and(is_close) {
+            return;
+        }
         let sample = Sample { ns: stamp.ns, position: point.coords, covariance, direction: direction.copied() };
         self.recent.push_back(sample);
         if self.recent.len() > MAX_FRAMES {
@@ -81,11 +89,12 @@ impl Shake {
     pub(crate) fn at(&mut self, stamp: Timestamp) -> Matrix3<f64> {
         self.recent.retain(|sample| (0..=WINDOW_NS).contains(&(stamp.ns - sample.ns)));
         let course = Course::of(&self.recent);
-        let rests = course.as_ref().is_some_and(Course::is_at_rest);
-        let shake = course.and_then(|course| course.shake()).unwrap_or_else(Matrix3::zeros);
-        self.rests = rests;
-        self.seen |= shake.trace() > 0.0;
-        shake
+        self.rests = course.as_ref().is_some_and(Course::is_at_rest);
+        if let Some(course) = course {
+            self.known = course.shake().unwrap_or_else(Matrix3::zeros);
+        }
+        self.seen |= self.known.trace() > 0.0;
+        self.known
     }
 }
 
@@ -323,7 +332,25 @@ mod tests {
             shake.add(stamp, &base(Vector3::x() * x), None);
             shake.at(stamp).trace()
         };
-        (0..MIN_FRAMES as i64).for_each(|i| assert_eq!(at(1_000_000_000 + i * 1_000_000, 0.0), 0.0));
+        (0..MIN_FRAMES as i64).for_each(|i| assert_eq!(at(1_000_000_000 + i * 5_000_000, 0.0), 0.0));
         assert_eq!(at(0, 1.0), 0.0);
+    }
+
+    /// What hides the band does not hold the camera; and at 1000 frames per second half a second is half a second.
+    #[test]
+    fn it_goes_on_while_the_band_is_hidden_at_any_frame_rate() {
+        for rate in [60, 1000] {
+            let mut shake = Shake::default();
+            let mut random = Random::new(rate);
+            let stamp = |i: u64| Timestamp { ns: (i * 1_000_000_000 / rate) as i64, clock: Clock::Container };
+            for i in 0..2 * rate {
+                let noise = Vector3::from_fn(|_, _| random.normal() * SD_M);
+                let way = Vector3::x() * 2e-4 * (std::f64::consts::TAU * 5.0 * i as f64 / rate as f64).sin();
+                shake.add(stamp(i), &base(way + noise), None);
+                shake.at(stamp(i));
+            }
+            let hidden = shake.at(stamp(3 * rate));
+            assert!((0.6..1.4).contains(&(hidden.m11 / (2e-4_f64.powi(2) / 2.0))), "{rate}: {hidden}");
+        }
     }
 }

@@ -248,7 +248,7 @@ impl Tracker {
         views.filter_map(|view| view.grain.as_ref()).for_each(|grain| self.grain.add(grain));
         let moved_px = self.look_at_motion(frame.stamp, &fitted);
         self.widen_by_lag(frame.stamp, &mut fitted);
-        for Fitted { group, views, result } in &mut fitted {
+        for Fitted { group, views, result, .. } in &mut fitted {
             if let Ok(fit) = result {
                 self.fringes.follow(group, views, fit);
             }
@@ -463,7 +463,7 @@ impl Tracker {
         let (Some(times), Some((of_coil, fit))) = (self.diameter.tried(), self.of_coil(fitted)) else { return };
         let mut group = of_coil.group.clone();
         group.stretch.radius_m *= times;
-        let other = Fitted { group, views: of_coil.views.clone(), result: Ok(fit.clone()) };
+        let other = Fitted { group, views: of_coil.views.clone(), result: Ok(fit.clone()), directed: true };
         let blurs_px = self.focus.blurs_px();
         let Some(fit) = self.fitting(frame, found, blurs_px, TRACKED_PX).again(&other, None) else { return };
         let blurred = OTHER_BLURS.iter().filter_map(|times| {
@@ -512,10 +512,10 @@ impl Tracker {
 
     /// Remembers where the tube is, for later frames.
     fn keep_shapes(&mut self, stamp: Timestamp, fitted: &[Fitted]) {
-        for Fitted { group, views, result } in fitted {
+        for Fitted { group, views, result, directed } in fitted {
             if let Ok(fit) = result {
                 let before = &mut self.before[group.reference];
-                *before = Some(Last::fitted(stamp, &group.stretch, views, fit, before.as_ref()));
+                *before = Some(Last::fitted(stamp, &group.stretch, views, (fit, *directed), before.as_ref()));
             }
         }
     }

@@ -144,6 +144,11 @@ impl Files {
     pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<FolderLock, Failure> {
         let places = self.all().map(PathBuf::as_path).filter(|path| *path != Path::new(STDOUT));
         results::refuse_to_overwrite_inputs(places, inputs)?;
+        if inputs.iter().any(|input| input.is_dir() && results::whole_path(input) == results::whole_path(&self.folder))
+        {
+            let folder = self.folder.display();
+            return Err(Failure::usage(format!("{folder}: is the recording itself; choose another folder with -o")));
+        }
         self.places_are_free()?;
         let earlier = self.earlier_run(run)?;
         let cannot = |path: &Path, e: io::Error| {
@@ -227,6 +232,11 @@ impl Files {
         for (name, (theta_rad, tip_m)) in all.chain([("together", together(sources))]) {
             let key = name.split(',').next().unwrap_or(name).replace(' ', "_");
             text += &format!("{key} = {{ theta_deg = {:.6}, tip_mm = {:.6} }}\n", theta_rad.to_degrees(), tip_m * 1e3);
+        }
+        let unknown = sources.iter().filter(|source| source.share.is_err()).map(|source| source.name.into());
+        let unknown: toml::value::Array = unknown.collect();
+        if !unknown.is_empty() {
+            text += &format!("# Not in the sum.\nunknown = {}\n", toml::Value::from(unknown));
         }
         let path = self.folder.join(RUN);
         atomic_file::write(&path, text.as_bytes())

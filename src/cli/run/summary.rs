@@ -7,7 +7,7 @@ use crate::pipeline::Summary;
 use crate::plural::plural;
 use crate::rig::Rig;
 use crate::source::times::seconds;
-use crate::tally::budget::together;
+use crate::tally::budget::{together, together_name};
 use crate::tally::{AlarmInWords, MISSING_OF_LOG, Tally, TickTally};
 use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -17,6 +17,9 @@ pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, known: usize) -
     tally.alarms().skip(known).for_each(|alarm| warn_of_alarm(&alarm, recording));
     tally.drift.alarms().len()
 }
+
+/// A view that shows less than this fraction of the bands has no part in the result.
+const IDLE: f64 = 0.05;
 
 /// A warning for one alarm of `source`.
 pub(in crate::cli) fn warn_of_alarm(alarm: &AlarmInWords, source: &str) {
@@ -50,6 +53,13 @@ pub(in crate::cli) fn summary(
         let range = tally.theta.range_deg.map(|(low, high)| format!("from {low:.1}° to {high:.1}°"));
         row("deflection", tally.theta.answered, tally.theta.median_sd_deg(), "°", range.unwrap_or_default())?;
     }
+    for (view, seen, answered) in idle_views(rig, tally) {
+        writeln!(
+            out,
+            "\nview {view} shows bands in {seen} of {answered} places that the other views give: it does not count; has \
+             its mirror moved since the calibration (the views that are left cannot tell), or does something hide it?"
+        )?;
+    }
     if let Some(sources) = tally.budget() {
         writeln!(out, "\n  error budget, 1σ                 θ      tip, a coordinate")?;
         let line = |name: &str, (theta_rad, tip_m): (f64, f64)| {
@@ -61,7 +71,7 @@ pub(in crate::cli) fn summary(
                 Err(why) => writeln!(out, "  {:<26}  not known: {why}", source.name)?,
             }
         }
-        writeln!(out, "{}", line("together", together(&sources)))?;
+        writeln!(out, "{}", line(together_name(&sources), together(&sources)))?;
     }
     if let Some(ticks) = &tally.ticks {
         let TickTally { seen, changes, level: (low, high), .. } = ticks;
@@ -139,6 +149,16 @@ fn reasons(tally: &Tally, what: &str) -> String {
     let said: Vec<_> =
         tally.reasons(what).iter().map(|(word, frames)| format!("{frames} {}", plain_words(word))).collect();
     said.join(", ")
+}
+
+/// Views beyond the two that a position needs that show hardly any of the bands: their names, how many they show, and
+/// of how many.
+fn idle_views<'a>(rig: &'a Rig, tally: &Tally) -> Vec<(&'a str, u64, u64)> {
+    let answered: u64 = tally.markers.iter().map(|marker| marker.answered).sum();
+    let seen = |v: usize| tally.markers.iter().filter_map(|marker| Some(marker.views.get(v)?.seen)).sum::<u64>();
+    let views = rig.views.iter().enumerate().map(|(v, view)| (view.name.as_str(), seen(v), answered));
+    let is_idle = |(_, seen, answered): &(&str, u64, u64)| (*seen as f64) < IDLE * *answered as f64;
+    views.filter(|view| rig.views.len() > 2 && is_idle(view)).collect()
 }
 
 /// Why the run is unusable, if so: a marker was never located, or the coil's direction was never measured.

@@ -161,7 +161,7 @@ export class Review {
               `from ${from.toFixed(2)} s ${over === null ? "on" : `to ${over.toFixed(2)} s`}: ${what}`,
             ),
           )
-        : [el("p", {}, this.run.note ?? "None was noticed: the views agree as they did when the rig was calibrated.")]),
+        : [el("p", {}, this.run.note ?? "None was noticed.")]),
     );
     this.vetoes = this.run.vetoes;
     this.plots();

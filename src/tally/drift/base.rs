@@ -61,6 +61,11 @@ impl BaseBand {
         }
     }
 
+    /// No smaller distance raises an alarm, metres.
+    pub(crate) fn limit_m(&self) -> f64 {
+        MIN_M.max(SIGNIFICANT_SD * self.systematic.diagonal().max().sqrt())
+    }
+
     /// Ends a block; returns the finding of the last ones.
     pub(crate) fn found(&mut self) -> Option<Finding> {
         let blocks = self.window.close().iter();

@@ -26,6 +26,8 @@ use views::Views;
 const BLOCK: u32 = 10;
 /// Blocks to look back at, most and fewest: 3 s and 1 s at 60 Hz.
 const BLOCKS: (usize, usize) = (18, 6);
+/// Frames that are averaged to judge, most and fewest.
+pub(crate) const FRAMES_JUDGED: (usize, usize) = (BLOCKS.0 * BLOCK as usize, BLOCKS.1 * BLOCK as usize);
 /// An alarm ends when its quantity falls below this fraction of what raises one.
 const ALARM_RELEASE: f64 = 0.5;
 
@@ -37,6 +39,8 @@ pub struct Drift {
     base: Option<BaseBand>,
     /// The active alarm of the views, and of the base band.
     lasting: [Option<usize>; 2],
+    /// Whether enough was seen of them to judge.
+    judged: [bool; 2],
     alarms: Vec<DriftAlarm>,
 }
 
@@ -150,6 +154,16 @@ impl Drift {
         &self.alarms
     }
 
+    /// Whether enough was seen to judge whether the views agree.
+    pub(crate) fn views_are_judged(&self) -> bool {
+        self.judged[0]
+    }
+
+    /// How far the base band may be from its origin without an alarm, metres, if enough was seen to judge that.
+    pub(crate) fn base_limit_m(&self) -> Option<f64> {
+        self.base.as_ref().filter(|_| self.judged[1]).map(BaseBand::limit_m)
+    }
+
     /// Adds a frame; returns the alarms that it raises: one when drift begins, and no other until it is over.
     pub fn add(&mut self, estimate: &Estimate) -> &[DriftAlarm] {
         let before = self.alarms.len();
@@ -160,6 +174,9 @@ impl Drift {
         }
         if self.frames.is_multiple_of(u64::from(BLOCK)) {
             let found = [self.views.found(), self.base.as_mut().and_then(BaseBand::found)];
+            for (judged, found) in self.judged.iter_mut().zip(&found) {
+                *judged |= found.is_some();
+            }
             for (lasting, found) in self.lasting.iter_mut().zip(found) {
                 follow(lasting, &mut self.alarms, found, estimate);
             }
