@@ -475,3 +475,57 @@ fn how_far_chroma_reaches_is_taught() {
     let blur_px = camera.blur_px.unwrap();
     assert!((blur_px - rig.camera.blur_px.unwrap()).abs() < 0.04, "blur {blur_px} px");
 }
+
+/// The picture with grey above and below a band, in both views.
+fn with_neighbours_hidden(picture: &Picture, band: &[Result<BandObservation, catoptra::estimate::Miss>]) -> Picture {
+    const MARGIN_PX: f64 = 4.0;
+    let rows: Vec<(f64, f64)> = band
+        .iter()
+        .map(|seen| {
+            let ys = || seen.as_ref().unwrap().outline_px.iter().map(|p| p.y);
+            (ys().fold(f64::INFINITY, f64::min) - MARGIN_PX, ys().fold(0.0, f64::max) + MARGIN_PX)
+        })
+        .collect();
+    with_rows(picture, |i, j| {
+        let plane = picture.plane(i).unwrap();
+        let y = f64::from(plane.scale[1]) * j as f64;
+        let grey = if i == 0 { 110 } else { 128 };
+        let shown = |x: usize| {
+            let (top, bottom) = rows[usize::from(x as u32 * plane.scale[0] >= BETWEEN)];
+            (top..bottom).contains(&y)
+        };
+        let row = plane.row(j).unwrap()[..plane.width].iter().enumerate();
+        row.map(|(x, sample)| if shown(x) { *sample } else { grey }).collect()
+    })
+}
+
+/// Which of its ends is the tip's, a coil alone does not show.
+#[test]
+fn a_coil_without_neighbours_has_a_tangent_once_one_was_seen() {
+    let mut rig = rig();
+    rig.base = None;
+    let whole = frames(0, 20, |picture| composed(picture, picture, 0));
+    let estimates = |hidden: Range<usize>| {
+        let mut tracker = Tracker::new(&rig, TrackOptions::default()).unwrap();
+        let coil = tracker.step(&whole[0]).unwrap().markers[1].views.clone();
+        let mut tracker = Tracker::new(&rig, TrackOptions::default()).unwrap();
+        let step = |(k, frame): (usize, &Frame)| {
+            let picture = if hidden.contains(&k) {
+                with_neighbours_hidden(&frame.picture, &coil)
+            } else {
+                composed(&frame.picture, &frame.picture, 0)
+            };
+            let frame = Frame { seq: frame.seq, stamp: frame.stamp, gap: 0, host: None, picture };
+            tracker.step(&frame).unwrap()
+        };
+        whole.iter().enumerate().map(step).collect::<Vec<Estimate>>()
+    };
+    let is_down = |estimate: &Estimate| estimate.tangent.as_ref().is_ok_and(|tangent| tangent.direction.y > 0.9);
+    let at_first = estimates(0..10);
+    for (k, estimate) in at_first.iter().enumerate() {
+        assert!(estimate.markers[1].position.is_ok(), "{k}: {:?}", estimate.markers[1].position);
+        assert!(if k < 10 { estimate.tangent.is_err() } else { is_down(estimate) }, "{k}: {:?}", estimate.tangent);
+    }
+    let later = estimates(10..20);
+    assert!(later.iter().all(is_down), "it was known a moment ago");
+}
