@@ -124,7 +124,7 @@ pub(in crate::cli) fn rig(arguments: &[String], print: impl Fn(&str) -> Result<(
 /// The initial rig file of these arguments, and the options that they set.
 pub(in crate::cli) fn rig_to_calibrate(arguments: &[String]) -> Result<(Draft, RigOptions), Failure> {
     let args: rig::RigArgs = parsed(arguments)?;
-    let draft = Draft::load(&args.rig)?;
+    let draft = Draft::load(&args.rig)?.with_own_lens(&args.rig)?;
     let options = rig::options(&args, &draft)?;
     Ok((draft, options))
 }

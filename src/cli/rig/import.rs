@@ -5,7 +5,7 @@ use super::Failure;
 use crate::archive::hash;
 use crate::calibrate::geometry::Parameter;
 use crate::rig::formats::Format;
-use crate::rig::{Draft, of_camera};
+use crate::rig::{Draft, lens_note, of_camera};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -88,6 +88,7 @@ pub(super) fn run(
     let mut provenance = toml::Table::from_iter([
         ("made_by".to_owned(), format!("catoptra {} rig import", env!("CARGO_PKG_VERSION")).into()),
         ("format".to_owned(), format.to_string().into()),
+        ("lens".to_owned(), lens_note(&draft.camera.lens).into()),
         ("inputs_sha256".to_owned(), toml::Table::from_iter([(file, sha256.into())]).into()),
     ]);
     if let Some(Deviations(sd)) = &args.sd {

@@ -29,7 +29,7 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     let out = args.out();
     can_be_written(out)?;
 
-    let draft = Draft::load(&args.rig)?;
+    let draft = Draft::load(&args.rig)?.with_own_lens(&args.rig)?;
     let mut options = options(args, &draft)?;
     let seen = seen(args, &draft, &mut options, quiet)?;
     let searched = seen.searched();
