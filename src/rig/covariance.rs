@@ -40,6 +40,36 @@ impl Draft {
     }
 }
 
+/// Replaces rows and columns of the noted covariance by those of parameters that were found anew: `block` of theirs,
+/// and zero with all others, which were taken as exact. `true` if it has them all.
+pub(crate) fn renew(provenance: &mut Table, parameters: &[String], block: &DMatrix<f64>) -> bool {
+    let Some(Value::Table(table)) = provenance.get_mut("rig") else { return false };
+    let names = table.get("parameters").and_then(Value::as_array);
+    let names: Vec<&str> = names.into_iter().flatten().filter_map(Value::as_str).collect();
+    let size = names.len();
+    let own: Option<Vec<usize>> =
+        parameters.iter().map(|parameter| names.iter().position(|name| *name == parameter.as_str())).collect();
+    let Some(own) = own.filter(|own| block.shape() == (own.len(), own.len())) else { return false };
+    let Some(mut covariance) = table.get("covariance").and_then(|value| matrix(value, size)) else { return false };
+    for (i, &row) in own.iter().enumerate() {
+        covariance.row_mut(row).fill(0.0);
+        covariance.column_mut(row).fill(0.0);
+        let noise = block.get((i, i)).map(|variance| variance.max(0.0).sqrt());
+        let noted = table.get_mut("sd_by_noise").and_then(Value::as_array_mut).and_then(|list| list.get_mut(row));
+        if let (Some(noted), Some(noise)) = (noted, noise) {
+            *noted = noise.into();
+        }
+    }
+    for (i, &row) in own.iter().enumerate() {
+        for (k, &column) in own.iter().enumerate() {
+            covariance[(row, column)] = block[(i, k)];
+        }
+    }
+    let rows = covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
+    table.insert("covariance".into(), rows.collect::<Vec<Value>>().into());
+    true
+}
+
 /// The first value that is not a finite number, or is a negative variance, or makes a matrix of another size.
 pub(super) fn wrong(provenance: &Table, lens: &Lens) -> Option<Wrong> {
     let of_lens = lens_numbers(lens);

@@ -427,6 +427,14 @@ fn warnings_say_what_is_missing_or_odd() {
     any(&warned(&changed("centre_mm = 85.0\n", "")), "centre_mm not given for coil");
     any(&warned(&changed("b0 = [1.0, 0.0, 0.0]", "b0 = [0.0, 0.0, -1.0]")), "b0 is 90.0° off");
     any(&warned(&changed("[640.0, 512.0]", "[440.0, 512.0]")), "principal point is 200 px");
+    // In metres, not given, and in no view.
+    for (place, word) in [
+        ("[0.003, 1.094, 0.04]", "mm from where the views look"),
+        ("[0.0, 0.0, 0.0]", "mm from where the views look"),
+        ("[3.0, 1094.0, 150.0]", "in no view's region"),
+    ] {
+        any(&warned(&changed("[3.0, 1094.0, 40.0]", place)), word);
+    }
     any(&warned(&changed("[740.0, 612.0]", "[900.0, 612.0]")), "the regions of direct and mirror overlap");
     assert!(!warned(RIG).iter().any(|w| w.contains("pixels wide")));
     any(&warned(&changed("diameter_mm = 3.2", "diameter_mm = 1.6")), "view mirror: the tube is 3.");
