@@ -10,6 +10,10 @@ use toml::{Table, Value};
 /// Focal lengths and principal point: a lens has these besides its coefficients.
 const PINHOLE_NUMBERS: usize = 4;
 
+/// Rounding of matrices that were written with a few digits: of correlations, and of their eigenvalues.
+const ASYMMETRY: f64 = 1e-6;
+const LEAST_EIGENVALUE: f64 = -1e-3;
+
 /// What is wrong with a value.
 pub(super) struct Wrong {
     pub(super) key: String,
@@ -75,7 +79,9 @@ pub(super) fn wrong(provenance: &Table, lens: &Lens) -> Option<Wrong> {
     let of_lens = lens_numbers(lens);
     let parameters = noted(provenance, "rig", "parameters").and_then(Value::as_array).map_or(0, Vec::len);
     wrong_table(provenance, ("camera", "lens_covariance"), [of_lens; 2], "one for each number of the lens")
+        .or_else(|| no_covariance(provenance, ("camera", "lens_covariance"), of_lens))
         .or_else(|| wrong_table(provenance, ("rig", "covariance"), [parameters; 2], "one for each of rig.parameters"))
+        .or_else(|| no_covariance(provenance, ("rig", "covariance"), parameters))
         .or_else(|| wrong_table(provenance, ("rig", "volume_mm"), [2, 3], "lowest and highest corner"))
 }
 
@@ -107,6 +113,31 @@ fn wrong_table(provenance: &Table, (table, key): (&str, &str), size: [usize; 2],
     let widths = rows.iter().map(|row| row.as_array().map_or(0, Vec::len));
     let (i, found) = widths.enumerate().find(|(_, found)| *found != width)?;
     of_size(format!("{key}[{i}]"), format!("{found} numbers"))
+}
+
+/// What makes a matrix no covariance: cells that differ from their mirror images, or directions with variances below 0,
+/// whose σ would come out as 0.
+fn no_covariance(provenance: &Table, (table, key): (&str, &str), size: usize) -> Option<Wrong> {
+    let covariance = matrix(noted(provenance, table, key)?, size)?;
+    let key = format!("provenance.{table}.{key}");
+    // σ of focal lengths and of tilts differ by many orders: correlations are compared.
+    let scale = covariance.diagonal().map(|variance| if variance > 0.0 { variance.sqrt() } else { 1.0 });
+    let correlation = DMatrix::from_fn(size, size, |i, k| covariance[(i, k)] / scale[i] / scale[k]);
+    let cells = (0..size).flat_map(|i| (0..i).map(move |k| (i, k)));
+    let differ = |(i, k): &(usize, usize)| (correlation[(*i, *k)] - correlation[(*k, *i)]).abs() > ASYMMETRY;
+    if let Some((i, k)) = cells.into_iter().find(differ) {
+        return Some(Wrong {
+            key: format!("{key}[{i}][{k}]"),
+            value: covariance[(i, k)].to_string(),
+            expected: format!("{}, as in row {k} and column {i}: a covariance is symmetric", covariance[(k, i)]),
+        });
+    }
+    let least = correlation.symmetric_eigenvalues().iter().copied().fold(f64::INFINITY, f64::min);
+    (least < LEAST_EIGENVALUE).then(|| Wrong {
+        key,
+        value: "this matrix".to_owned(),
+        expected: format!("a covariance: the least eigenvalue of its correlations is {least:.2}, and none is below 0"),
+    })
 }
 
 /// How many numbers the covariance of a lens has in a row.

@@ -243,6 +243,21 @@ fn mistakes_are_named() {
             "[provenance.rig]\nvolume_mm = [[0.0, 0.0, 0.0]]\n[provenance]",
             &["provenance.rig.volume_mm = 1 rows", "2 rows of 3 numbers, lowest and highest corner"],
         ),
+        (
+            "[provenance]",
+            "[provenance.rig]\nparameters = [\"a\", \"b\"]\ncovariance = [[4.0, 1.0], [1.1, 4.0]]\n[provenance]",
+            &["provenance.rig.covariance[1][0] = 1.1", "1, as in row 0 and column 1: a covariance is symmetric"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.rig]\nparameters = [\"a\", \"b\"]\ncovariance = [[4.0, 5.0], [5.0, 4.0]]\n[provenance]",
+            &["provenance.rig.covariance = ", "the least eigenvalue of its correlations is -0.25"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.camera.lens]\nfocal_px = [2700.0]\n[provenance]",
+            &["provenance.camera.lens.focal_px = [2700.0]", "a list of 2 finite numbers"],
+        ),
     ];
     for (from, to, expected) in cases {
         let message = read(&changed(from, to)).expect_err(to).to_string();
