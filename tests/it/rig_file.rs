@@ -681,6 +681,30 @@ fn an_imported_lens_that_is_doubtful_is_warned_of_and_one_of_other_pictures_is_r
         let (code, said) = import(&format!("{ros}{more}"));
         assert!(code == Some(2) && said.contains(word), "{more}: {said}");
     }
+    // Coefficients of another model, under any key by which programs name it.
+    let opencv = include_str!("../data/cameras/opencv4.yml");
+    for (more, code) in [
+        ("camera_model: fisheye\n", 2),
+        ("model: \"Kannala-Brandt\"\n", 2),
+        ("lens_model: EQUIDISTANT\n", 2),
+        ("projection_model: omni\n", 2),
+        ("model_type: fov\n", 2),
+        ("binning_x: 2\n", 2),
+        ("camera_model: \"acA1300-60gc\"\n", 0),
+        ("model_type: PINHOLE\n", 0),
+        ("lens_model: brown_conrady\n", 0),
+    ] {
+        let (found, said) = import(&format!("{opencv}{more}"));
+        let word = more.split(':').next().unwrap();
+        assert!(found == Some(code) && (code == 0 || said.contains(word)), "{more}: {said}");
+    }
+    let (code, said) = import(&format!("{opencv}cameraMatrix: [1.0, 0.0, 2.0, 0.0, 1.0, 2.0, 0.0, 0.0, 1.0]\n"));
+    assert!(code == Some(2) && said.contains("keep one of them"), "{said}");
+    let four = "image_width: 640\nimage_height: 480\ncamera_matrix: [600, 0, 320, 0, 600, 240, 0, 0, 1]\n";
+    for (p1, warned) in [("0.0004", false), ("0.02", true)] {
+        let (code, said) = import(&format!("{four}distortion_coefficients: [-0.03, 0.01, {p1}, 0.001]\n"));
+        assert!(code == Some(0) && said.contains("k1 to k4 of a fisheye") == warned, "{p1}: {said}");
+    }
     let whole = "binning_x: 0\nbinning_y: 1\nroi: {x_offset: 0, y_offset: 0, height: 0, width: 0}\n";
     assert_eq!(import(&format!("{ros}{whole}")).0, Some(0));
 }
@@ -706,6 +730,9 @@ fn colours_of_each_view_come_back_and_one_that_is_missing_is_named() {
     assert_eq!(read(&rig.to_toml_string()).unwrap().markers, rig.markers);
     let message = read(&with(colours(&["mirror"]))).unwrap_err().to_string();
     assert!(message.contains("marker.base.colours") && message.contains("direct, mirror"), "{message}");
+    let surplus = "[[marker.colours]]\nplanes = [[0.01, 0.0, 0.0, 0.2]]\nrgb = [150.0, 120.0, 40.0]\n";
+    let message = read(&with(colours(&["direct", "mirror"]) + surplus)).unwrap_err().to_string();
+    assert!(message.contains("marker.base.colours") && message.contains("one entry for each view"), "{message}");
     let none =
         with(colours(&["direct", "mirror"])).replacen("[[0.01, 0.0, -0.01, 0.2], [0.0, 0.02, -0.01, 0.1]]", "[]", 1);
     assert!(read(&none).unwrap_err().to_string().contains("one plane or more"));

@@ -25,7 +25,7 @@ pub(super) struct CameraArgs {
     /// Coefficients of distortion: 5 (k1, k2, p1, p2, k3), or 8 of the rational model for wide angles
     #[arg(long, value_name = "5|8", default_value = "5", value_parser = lens_model)]
     lens: LensModel,
-    /// Rig file to write; what an existing one says beside the camera is kept
+    /// Rig file to write; an existing one keeps its bands, and loses what was found with the old lens
     #[arg(long, short, value_name = "RIG.toml")]
     pub(super) out: PathBuf,
 }
@@ -58,7 +58,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     }
     let mut draft = match old {
         Some(old) => {
-            if let Some(said) = left_out(&old) {
+            if let Some(said) = left_out(&old, done.size_px) {
                 print(&format!("\n{said}\n"))?;
             }
             old.with_lens(done.size_px, done.lens)

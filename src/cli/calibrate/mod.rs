@@ -182,11 +182,21 @@ fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What a new lens removes from a rig, in words.
-pub(super) fn left_out(old: &Draft) -> Option<&'static str> {
-    let something = !old.surfaces.is_empty() || !old.views.is_empty() || old.base.is_some();
-    something
-        .then_some("mirror, walls, views and base frame of the old file were found with the old lens and are left out")
+/// What a new lens, for pictures of this size, removes from a rig, in words.
+pub(super) fn left_out(old: &Draft, size_px: [u32; 2]) -> Option<String> {
+    let found = !old.surfaces.is_empty() || !old.views.is_empty() || old.base.is_some();
+    let found = found
+        .then_some("mirror, walls, views and base frame of the old file were found with the old lens and are left out");
+    let measured = old.measured_on_pictures().then_some(if size_px == old.camera.size_px {
+        "what was measured of the camera's blur, colours and exposure, and the bands' usual residuals, are kept: if \
+         this is another camera or lens, teach the bands again (catoptra calibrate markers)"
+    } else {
+        "blur, colour offsets, gamma, exposure, readout and the bands' usual residuals were those of pictures of \
+         another size and are left out: teach the bands again (catoptra calibrate markers) when the mirrors are \
+         calibrated"
+    });
+    let said: Vec<&str> = found.into_iter().chain(measured).collect();
+    (!said.is_empty()).then(|| said.join("; "))
 }
 
 #[cfg(test)]

@@ -55,7 +55,10 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     let doubts: Vec<String> = diagnose(&done, &held).iter().map(ToString::to_string).collect();
     doubts.iter().for_each(|doubt| tracing::warn!("doubt: {doubt}"));
     let page = calibration::page(&info(args, out, &seen, &done), &done, judged.as_ref(), &held);
-    let mut rig = into_draft(draft, &done);
+    let mut rig = into_draft(draft.clone(), &done);
+    if let Some(said) = without_colours(&draft, &rig) {
+        tracing::warn!("{said}");
+    }
     rig.provenance.insert("rig".into(), provenance(&seen, &done, judged.as_ref(), doubts)?.into());
     let written = save(&rig, out)?;
     print(&format!("\n{written}\n"))?;
@@ -188,6 +191,22 @@ fn other_sd(seen: &Seen, done: &RigCalibration) -> Option<String> {
     (!is_as_stated).then(|| {
         format!(
             "points were stated to be good to {given_px:.2} px, but are off by {found_px:.2}: σ are based on the latter"
+        )
+    })
+}
+
+/// Says which bands have lost their colours: they had none for one of the new views.
+fn without_colours(before: &Draft, after: &Draft) -> Option<String> {
+    let pairs = before.markers.iter().zip(&after.markers);
+    let lost = pairs.filter(|(before, after)| !before.colours.is_empty() && after.colours.is_empty());
+    let lost: Vec<&str> = lost.map(|(marker, _)| marker.name.as_str()).collect();
+    let names = |draft: &Draft| draft.views.iter().map(|view| view.name.as_str()).collect::<Vec<_>>().join(", ");
+    (!lost.is_empty()).then(|| {
+        format!(
+            "the colours of {} are left out: they were not learned for all of the views, which are now {}; teach the \
+             bands again (catoptra calibrate markers)",
+            lost.join(", "),
+            names(after)
         )
     })
 }
