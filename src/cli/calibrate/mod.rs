@@ -14,7 +14,7 @@ use crate::calibrate::length_m;
 use crate::calibrate::rig::RigOptions;
 use crate::rig::{Draft, Rig};
 use clap::Subcommand;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 /// Arguments of `catoptra calibrate`.
@@ -174,6 +174,19 @@ pub(super) fn save(rig: &Draft, path: &Path) -> Result<String, Failure> {
     Ok(format!("written: {}{kept}", path.display()))
 }
 
+/// Where a page of this kind goes beside the rig: RIG.KIND.html for RIG.toml. Checks that it replaces only a page.
+fn page_beside(rig: &Path, kind: &str) -> Result<PathBuf, Failure> {
+    let stem = match rig.extension() {
+        Some(extension) if extension == "toml" => rig.with_extension(""),
+        _ => rig.to_path_buf(),
+    };
+    let mut name = stem.into_os_string();
+    name.push(format!(".{kind}.html"));
+    let page = PathBuf::from(name);
+    output::is_free_for_page(&page)?;
+    Ok(page)
+}
+
 /// Writes a page beside the rig.
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
     let _whole = interrupt::wait();
@@ -202,6 +215,18 @@ pub(super) fn left_out(old: &Draft, size_px: [u32; 2]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_rig_has_its_own_page() {
+        for (rig, page) in [
+            ("src/rig.toml", "src/rig.markers.html"),
+            ("site.a", "site.a.markers.html"),
+            ("site.b", "site.b.markers.html"),
+            ("rig.v2.toml", "rig.v2.markers.html"),
+        ] {
+            assert_eq!(page_beside(Path::new(rig), "markers").unwrap(), Path::new(page));
+        }
+    }
 
     #[test]
     fn lengths_as_people_write_them() {

@@ -8,7 +8,7 @@ pub(super) use args::{RigArgs, options};
 use super::super::progress::during;
 use super::super::{Exit, Failure, provenance};
 use super::pictures::{self, SearchedPicture};
-use super::{can_be_written, save, save_page};
+use super::{can_be_written, page_beside, save, save_page};
 use crate::calibrate::board::{Board, BoardPicture, Grey, Rows};
 use crate::calibrate::rig::diagnostics::diagnose;
 use crate::calibrate::rig::expected_error::{Verdict, verdict};
@@ -28,6 +28,7 @@ const SD_RATIO_TOLERANCE: f64 = 1.5;
 pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     let out = args.out();
     can_be_written(out)?;
+    let page_path = page_beside(out, "calibration")?;
 
     let draft = Draft::load(&args.rig)?.with_own_lens(&args.rig)?;
     let mut options = options(args, &draft)?;
@@ -62,7 +63,6 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     rig.provenance.insert("rig".into(), provenance(&seen, &done, judged.as_ref(), doubts)?.into());
     let written = save(&rig, out)?;
     print(&format!("\n{written}\n"))?;
-    let page_path = out.with_extension("calibration.html");
     save_page(&page, &page_path)?;
     print(&format!("         {} (how good it is, for a browser)\n", page_path.display()))
 }
@@ -113,7 +113,17 @@ fn other_squares(seen: &Seen, draft: &Draft) -> Option<String> {
 /// Searches the pictures for boards, including those taped to walls, or reads the points.
 fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) -> Result<Seen, Failure> {
     if let Some(file) = &args.points {
-        let points = Points::read(file, args.mirrors).map_err(Failure::usage)?;
+        let size_px = draft.camera.size_px;
+        let points = Points::read(file, args.mirrors, size_px).map_err(Failure::usage)?;
+        if points.may_be_of_smaller_pictures(size_px) {
+            tracing::warn!(
+                "{}: all points lie in the upper left of the pictures of {} x {} px: were they marked on pictures that \
+                 were shown smaller?",
+                file.display(),
+                size_px[0],
+                size_px[1]
+            );
+        }
         return Ok(Seen::Points { file: file.clone(), points });
     }
     let Some(board) = args.board.clone() else {
