@@ -428,6 +428,8 @@ fn regions(rig: &Draft) -> Vec<Warning> {
 /// Whether the base band at rest can be where the base frame's origin is.
 fn base_elsewhere(rig: &Draft, base: &Base, meeting: Option<&ClosestApproach>) -> Option<Warning> {
     let origin = base.base_from_camera.inverse() * Point3::origin();
+    // Where nearly parallel rays meet says little.
+    let meeting = meeting.filter(|meeting| meeting.angle_rad >= NARROW_RAD);
     let apart_m = meeting.map(|meeting| (meeting.point - origin).norm()).filter(|m| *m > FARTHEST_BASE_M);
     let [right, bottom] = rig.camera.size_px.map(|size| f64::from(size) - 0.5);
     let in_picture = |p: &Point2<f64>| (-0.5..=right).contains(&p.x) && (-0.5..=bottom).contains(&p.y);

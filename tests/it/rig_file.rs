@@ -653,6 +653,24 @@ fn deviations_of_an_imported_lens_are_kept() {
     assert!((draft.noted_sd("k3").unwrap() - 0.05).abs() < 1e-9);
 }
 
+/// At the catheter, errors of a lens that came without σ are not among those of the calibration.
+#[test]
+fn a_lens_that_is_taken_as_exact_is_told_at_the_catheter() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |parameters: &str| {
+        let mut draft = Draft::load(&dev_tank()).unwrap();
+        let noted = format!("parameters = [{parameters}, \"front_wall_offset_m\"]\ncovariance = [[1, 0], [0, 4e-6]]");
+        draft.provenance.insert("rig".into(), noted.parse::<toml::Table>().unwrap().into());
+        let rig = folder.path().join("rig.toml");
+        draft.save(&rig).unwrap();
+        let done = catoptra(&["rig", "check", rig.to_str().unwrap(), "--recording", "sample_frames/rest.mkv"]);
+        let text = String::from_utf8_lossy(&done.stdout).into_owned();
+        assert!(done.status.success() && text.contains("share of errors at the catheter"), "{text}");
+        text.contains("the lens is taken as exact")
+    };
+    assert_eq!([told("\"side_mirror_tilt_0_rad\""), told("\"focal_x_px\"")], [true, false]);
+}
+
 /// A camera of another tool whose numbers are those of no camera, or of other pictures.
 #[test]
 fn an_imported_lens_that_is_doubtful_is_warned_of_and_one_of_other_pictures_is_refused() {
