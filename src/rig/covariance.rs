@@ -10,6 +10,10 @@ use toml::{Table, Value};
 /// Focal lengths and principal point: a lens has these besides its coefficients.
 const PINHOLE_NUMBERS: usize = 4;
 
+/// Rounding of matrices that were written with a few digits: of correlations, and of their eigenvalues.
+const ASYMMETRY: f64 = 1e-6;
+const LEAST_EIGENVALUE: f64 = -1e-3;
+
 /// What is wrong with a value.
 pub(super) struct Wrong {
     pub(super) key: String,
@@ -40,12 +44,44 @@ impl Draft {
     }
 }
 
+/// Replaces rows and columns of the noted covariance by those of parameters that were found anew: `block` of theirs,
+/// and zero with all others, which were taken as exact. `true` if it has them all.
+pub(crate) fn renew(provenance: &mut Table, parameters: &[String], block: &DMatrix<f64>) -> bool {
+    let Some(Value::Table(table)) = provenance.get_mut("rig") else { return false };
+    let names = table.get("parameters").and_then(Value::as_array);
+    let names: Vec<&str> = names.into_iter().flatten().filter_map(Value::as_str).collect();
+    let size = names.len();
+    let own: Option<Vec<usize>> =
+        parameters.iter().map(|parameter| names.iter().position(|name| *name == parameter.as_str())).collect();
+    let Some(own) = own.filter(|own| block.shape() == (own.len(), own.len())) else { return false };
+    let Some(mut covariance) = table.get("covariance").and_then(|value| matrix(value, size)) else { return false };
+    for (i, &row) in own.iter().enumerate() {
+        covariance.row_mut(row).fill(0.0);
+        covariance.column_mut(row).fill(0.0);
+        let noise = block.get((i, i)).map(|variance| variance.max(0.0).sqrt());
+        let noted = table.get_mut("sd_by_noise").and_then(Value::as_array_mut).and_then(|list| list.get_mut(row));
+        if let (Some(noted), Some(noise)) = (noted, noise) {
+            *noted = noise.into();
+        }
+    }
+    for (i, &row) in own.iter().enumerate() {
+        for (k, &column) in own.iter().enumerate() {
+            covariance[(row, column)] = block[(i, k)];
+        }
+    }
+    let rows = covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
+    table.insert("covariance".into(), rows.collect::<Vec<Value>>().into());
+    true
+}
+
 /// The first value that is not a finite number, or is a negative variance, or makes a matrix of another size.
 pub(super) fn wrong(provenance: &Table, lens: &Lens) -> Option<Wrong> {
     let of_lens = lens_numbers(lens);
     let parameters = noted(provenance, "rig", "parameters").and_then(Value::as_array).map_or(0, Vec::len);
     wrong_table(provenance, ("camera", "lens_covariance"), [of_lens; 2], "one for each number of the lens")
+        .or_else(|| no_covariance(provenance, ("camera", "lens_covariance"), of_lens))
         .or_else(|| wrong_table(provenance, ("rig", "covariance"), [parameters; 2], "one for each of rig.parameters"))
+        .or_else(|| no_covariance(provenance, ("rig", "covariance"), parameters))
         .or_else(|| wrong_table(provenance, ("rig", "volume_mm"), [2, 3], "lowest and highest corner"))
 }
 
@@ -79,6 +115,31 @@ fn wrong_table(provenance: &Table, (table, key): (&str, &str), size: [usize; 2],
     of_size(format!("{key}[{i}]"), format!("{found} numbers"))
 }
 
+/// What makes a matrix no covariance: cells that differ from their mirror images, or directions with variances below 0,
+/// whose σ would come out as 0.
+fn no_covariance(provenance: &Table, (table, key): (&str, &str), size: usize) -> Option<Wrong> {
+    let covariance = matrix(noted(provenance, table, key)?, size)?;
+    let key = format!("provenance.{table}.{key}");
+    // σ of focal lengths and of tilts differ by many orders: correlations are compared.
+    let scale = covariance.diagonal().map(|variance| if variance > 0.0 { variance.sqrt() } else { 1.0 });
+    let correlation = DMatrix::from_fn(size, size, |i, k| covariance[(i, k)] / scale[i] / scale[k]);
+    let cells = (0..size).flat_map(|i| (0..i).map(move |k| (i, k)));
+    let differ = |(i, k): &(usize, usize)| (correlation[(*i, *k)] - correlation[(*k, *i)]).abs() > ASYMMETRY;
+    if let Some((i, k)) = cells.into_iter().find(differ) {
+        return Some(Wrong {
+            key: format!("{key}[{i}][{k}]"),
+            value: covariance[(i, k)].to_string(),
+            expected: format!("{}, as in row {k} and column {i}: a covariance is symmetric", covariance[(k, i)]),
+        });
+    }
+    let least = correlation.symmetric_eigenvalues().iter().copied().fold(f64::INFINITY, f64::min);
+    (least < LEAST_EIGENVALUE).then(|| Wrong {
+        key,
+        value: "this matrix".to_owned(),
+        expected: format!("a covariance: the least eigenvalue of its correlations is {least:.2}, and none is below 0"),
+    })
+}
+
 /// How many numbers the covariance of a lens has in a row.
 fn lens_numbers(lens: &Lens) -> usize {
     PINHOLE_NUMBERS + lens.coefficients().len()
@@ -89,7 +150,7 @@ fn noted<'a>(provenance: &'a Table, table: &str, key: &str) -> Option<&'a Value>
 }
 
 /// A number, written with a decimal point or without.
-fn number(value: &Value) -> Option<f64> {
+pub(super) fn number(value: &Value) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64))
 }
 

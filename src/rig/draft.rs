@@ -1,9 +1,13 @@
 //! Operations on a rig file that may be incomplete.
 
-use super::{Camera, Draft, Rig, RigError, View, file, validate, write};
+use super::{Camera, Draft, Marker, Rig, RigError, View, file, validate, write};
 use crate::optics::Lens;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+/// What is noted of the bands, and of which views their colours are while the file has none.
+const MARKERS: &str = "markers";
+const COLOUR_VIEWS: &str = "colour_views";
 
 impl Draft {
     /// A draft with only a camera.
@@ -20,10 +24,58 @@ impl Draft {
     }
 
     /// The same with another lens. Surfaces, views and base frame were calibrated with the old one and do not fit the
-    /// new one: they are removed, with their provenance. Bands and tube stay.
-    pub fn with_lens(self, size_px: [u32; 2], lens: Lens) -> Self {
-        let camera = Camera { size_px, lens, ..self.camera };
-        Self { markers: self.markers, catheter: self.catheter, ..Self::of_camera(camera) }
+    /// new one: they are removed, with their provenance. Bands and tube stay, with what is noted of them. Pictures of
+    /// another size are those of another camera: what was measured on the old ones is removed too.
+    pub fn with_lens(mut self, size_px: [u32; 2], lens: Lens) -> Self {
+        let names = self.colour_views();
+        let mut camera = Camera { size_px, lens, ..self.camera.clone() };
+        if size_px != self.camera.size_px {
+            camera = Camera::new(size_px, lens);
+            self.markers.iter_mut().for_each(|marker| marker.usual_residuals.clear());
+        }
+        let mut provenance = toml::Table::new();
+        if let Some(learned) = self.provenance.remove(MARKERS) {
+            provenance.insert(MARKERS.to_owned(), learned);
+        }
+        if let Some(names) = names.filter(|_| self.markers.iter().any(|marker| marker.colours.len() > 1)) {
+            provenance.insert(COLOUR_VIEWS.to_owned(), names.into());
+        }
+        Self { markers: self.markers, catheter: self.catheter, provenance, ..Self::of_camera(camera) }
+    }
+
+    /// Whether [`Draft::with_lens`] removes something that was measured on pictures of the old size.
+    pub(crate) fn measured_on_pictures(&self) -> bool {
+        let of_camera = self.camera != Camera::new(self.camera.size_px, self.camera.lens);
+        of_camera || self.markers.iter().any(|marker| !marker.usual_residuals.is_empty())
+    }
+
+    /// Names of the views that the bands' colours are for, in their order; `None` where no view is known.
+    fn colour_views(&self) -> Option<Vec<String>> {
+        if !self.views.is_empty() {
+            return Some(self.views.iter().map(|view| view.name.clone()).collect());
+        }
+        let noted = self.provenance.get(COLOUR_VIEWS)?.as_array()?;
+        noted.iter().map(|name| name.as_str().map(str::to_owned)).collect()
+    }
+
+    /// Replaces the views. What bands have for each view goes to the view of the same name; bands that lack a colour
+    /// for one of the new views lose all of theirs.
+    pub(crate) fn set_views(&mut self, views: Vec<View>) {
+        let names: Vec<String> = views.iter().map(|view| view.name.clone()).collect();
+        // Older files without views do not say whose colours they have: those of `calibrate rig`, in its order.
+        let before = self.colour_views().unwrap_or_else(|| names.clone());
+        let order: Option<Vec<usize>> =
+            names.iter().map(|name| before.iter().position(|known| known == name)).collect();
+        for marker in &mut self.markers {
+            let Marker { colours, usual_residuals, .. } = marker;
+            // A single model is one for all views.
+            if colours.len() > 1 {
+                *colours = reordered(colours, before.len(), order.as_deref());
+            }
+            *usual_residuals = reordered(usual_residuals, before.len(), order.as_deref());
+        }
+        self.provenance.remove(COLOUR_VIEWS);
+        self.views = views;
     }
 
     /// The view of this name; `file` is named in the error when there is none.
@@ -153,9 +205,85 @@ impl Draft {
     }
 }
 
+/// The values in this order, or none, if there is none or they are not as many as the `count` that it is for.
+fn reordered<T: Clone>(values: &[T], count: usize, order: Option<&[usize]>) -> Vec<T> {
+    let order = order.filter(|_| values.len() == count).unwrap_or_default();
+    order.iter().filter_map(|at| values.get(*at).cloned()).collect()
+}
+
 impl From<Rig> for Draft {
     fn from(rig: Rig) -> Self {
         let Rig { camera, surfaces, views, markers, catheter, base, provenance } = rig;
         Self { camera, surfaces, views, markers, catheter: Some(catheter), base, provenance }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::ColourModel;
+    use super::*;
+    use crate::optics::OpticalPath;
+    use nalgebra::{Point2, Vector2, Vector3};
+
+    /// The red of a colour that was learned in each view.
+    fn reds(draft: &Draft) -> Vec<f64> {
+        draft.markers.iter().flat_map(|marker| marker.colours.iter().map(|colour| colour.rgb.x)).collect()
+    }
+
+    fn lens() -> Lens {
+        Lens {
+            focal_px: Vector2::new(1000.0, 1000.0),
+            principal_point_px: Point2::new(320.0, 240.0),
+            distortion: [0.0; 5],
+            denominator: [0.0; 3],
+        }
+    }
+
+    fn views(names: &[&str]) -> Vec<View> {
+        let view = |name: &&str| View {
+            name: (*name).to_owned(),
+            path: Vec::new(),
+            optics: OpticalPath { lens: lens(), surfaces: Vec::new() },
+            region_px: Vec::new(),
+            blur_px: None,
+        };
+        names.iter().map(view).collect()
+    }
+
+    /// A band whose colours and usual residuals are 0, 1, … in these views.
+    fn with_views(names: &[&str]) -> Draft {
+        let mut draft = Draft::of_camera(Camera::new([640, 480], lens()));
+        draft.views = views(names);
+        let red = |view: usize| ColourModel::linear(Vector3::x(), 0.0, Vector3::new(view as f64, 0.0, 0.0));
+        draft.markers.push(Marker {
+            name: "coil".to_owned(),
+            length_m: 0.01,
+            centre_m: None,
+            colours: (0..names.len()).map(red).collect(),
+            usual_residuals: (0..names.len()).map(|view| 1.0 + view as f64).collect(),
+        });
+        draft
+    }
+
+    #[test]
+    fn colours_go_to_the_views_of_their_names() {
+        let cases: [(&[&str], &[&str], &[f64]); 4] = [
+            (&["mirror", "direct"], &["direct", "mirror"], &[1.0, 0.0]),
+            (&["direct", "mirror"], &["direct", "mirror"], &[0.0, 1.0]),
+            (&["direct", "mirror"], &["direct", "mirror_1", "mirror_2"], &[]),
+            (&["direct", "mirror_1", "mirror_2"], &["direct", "mirror_2"], &[0.0, 2.0]),
+        ];
+        for (before, after, expected) in cases {
+            let mut draft = with_views(before);
+            draft.set_views(views(after));
+            assert_eq!(reds(&draft), expected, "{before:?} {after:?}");
+            assert_eq!(draft.markers[0].usual_residuals.len(), expected.len());
+            // The same through a file without views, as a new lens leaves it.
+            let name = Path::new("rig.toml");
+            let mut draft = with_views(before).with_lens([640, 480], lens()).checked(name).unwrap();
+            draft.set_views(views(after));
+            assert_eq!(reds(&draft), expected, "{before:?} {after:?}, after a new lens");
+            assert!(draft.checked(name).is_ok() && draft.provenance.is_empty());
+        }
     }
 }

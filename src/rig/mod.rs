@@ -16,6 +16,7 @@ mod error;
 mod file;
 pub mod formats;
 mod numbers;
+mod own_lens;
 pub(crate) mod polygon;
 mod validate;
 mod view_check;
@@ -24,11 +25,13 @@ mod warnings;
 mod write;
 
 pub(crate) use base_doubts::base_doubts;
+pub(crate) use covariance::renew as renew_covariance;
 pub use error::RigError;
 pub(crate) use error::nearest;
+pub(crate) use own_lens::lens_note;
 pub(crate) use validate::longest_stiff_m;
 pub(crate) use walk::walk;
-pub(crate) use warnings::of_camera;
+pub(crate) use warnings::{MIRROR_MOVED, of_camera};
 
 use crate::optics::{Lens, OpticalPath, Surface};
 use nalgebra::{Isometry3, Point2, Vector3};

@@ -17,8 +17,13 @@ const NARROW_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 const LEAST_TUBE_PX: f64 = 4.0;
 /// Focal lengths of cameras, over the longer side of their pictures: fields of view from 1 to 136 degrees.
 const FOCAL: std::ops::RangeInclusive<f64> = 0.2..=50.0;
+/// The base band is no further from where the views look, metres: a catheter is shorter.
+const FARTHEST_BASE_M: f64 = 0.3;
 /// Ratio of both, of pixels that are square or nearly so.
 const SQUARE: std::ops::RangeInclusive<f64> = 0.92..=1.087;
+
+/// Noted in `[provenance.base]` when a mirror has moved since; the next `calibrate base` writes that table anew.
+pub(crate) const MIRROR_MOVED: &str = "mirror_moved";
 
 /// Something a user should know.
 #[derive(Debug, Clone, PartialEq)]
@@ -127,6 +132,15 @@ pub enum Warning {
     },
     /// No base frame.
     NoBase,
+    /// The base frame's origin is not where the views look.
+    BaseElsewhere {
+        /// Where it is, camera frame, mm.
+        origin_mm: [f64; 3],
+        /// Distance from where the views' central rays meet, metres; `None` if they do not meet.
+        apart_m: Option<f64>,
+    },
+    /// The base frame was measured before the mirror moved.
+    BaseBeforeMirror,
     /// B0 is not where the base frame's definition puts it.
     B0OffPlane {
         /// Angle between B0 and the base's x-z plane, on the side of +x, radians.
@@ -228,6 +242,19 @@ impl fmt::Display for Warning {
                 )
             }
             Self::NoBase => write!(f, "no [base]: positions in the camera frame only, and no deflection angle"),
+            Self::BaseElsewhere { origin_mm: [x, y, z], apart_m } => {
+                write!(f, "the origin of the base frame, ({x:.1}, {y:.1}, {z:.1}) mm in the camera frame, is ")?;
+                match apart_m {
+                    Some(m) => write!(f, "{:.0} mm from where the views look", m * 1e3)?,
+                    None => write!(f, "in no view's region")?,
+                }
+                write!(f, ": is translation_mm in millimetres, and of base_from_camera?")
+            }
+            Self::BaseBeforeMirror => write!(
+                f,
+                "the base frame was measured with the mirror as it was before `calibrate mirror`: measure it again \
+                 (catoptra calibrate base)"
+            ),
             Self::B0OffPlane { angle_rad } => write!(
                 f,
                 "b0 is {:.1}° off the base frame's x-z plane (towards +x), where it belongs by definition",
@@ -294,6 +321,9 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
     match &rig.base {
         None => found.extend(begun.then_some(Warning::NoBase)),
         Some(base) => {
+            let moved = rig.provenance.get("base").and_then(|noted| noted.get(MIRROR_MOVED)?.as_bool());
+            found.extend(base_elsewhere(rig, base, meeting));
+            found.extend(moved.unwrap_or(false).then_some(Warning::BaseBeforeMirror));
             found.extend(b0_off_plane(base));
             found.extend(base_doubts(base).into_iter().map(|what| Warning::Directions { what }));
         }
@@ -393,6 +423,21 @@ fn regions(rig: &Draft) -> Vec<Warning> {
         }
     }
     found
+}
+
+/// Whether the base band at rest can be where the base frame's origin is.
+fn base_elsewhere(rig: &Draft, base: &Base, meeting: Option<&ClosestApproach>) -> Option<Warning> {
+    let origin = base.base_from_camera.inverse() * Point3::origin();
+    // Where nearly parallel rays meet says little.
+    let meeting = meeting.filter(|meeting| meeting.angle_rad >= NARROW_RAD);
+    let apart_m = meeting.map(|meeting| (meeting.point - origin).norm()).filter(|m| *m > FARTHEST_BASE_M);
+    let [right, bottom] = rig.camera.size_px.map(|size| f64::from(size) - 0.5);
+    let in_picture = |p: &Point2<f64>| (-0.5..=right).contains(&p.x) && (-0.5..=bottom).contains(&p.y);
+    let is_seen =
+        |view: &View| view.optics.project(&origin).is_ok_and(|pixel| in_picture(&pixel) && view.contains(&pixel));
+    let is_lost = !rig.views.is_empty() && !rig.views.iter().any(is_seen);
+    let origin_mm = (origin.coords * 1e3).into();
+    (apart_m.is_some() || is_lost).then_some(Warning::BaseElsewhere { origin_mm, apart_m })
 }
 
 /// B0 has no component along the base's y, and a positive one along x.

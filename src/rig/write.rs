@@ -11,7 +11,9 @@ use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 /// Decimals of a direction: 1e-12 turns a point at 2 m by 2e-12 m.
-const DIRECTION_DECIMALS: usize = 12;
+pub(super) const DIRECTION_DECIMALS: usize = 12;
+/// Decimals of pixels.
+pub(super) const PIXEL_DECIMALS: usize = 9;
 
 /// The whole file.
 pub(super) fn to_text(rig: &Draft) -> String {
@@ -78,8 +80,8 @@ fn camera(camera: &Camera) -> String {
          [camera]\nwidth_px = {}\nheight_px = {}\nfocal_px = {}\nprincipal_point_px = {}\ndistortion = {}\n",
         camera.size_px[0],
         camera.size_px[1],
-        list(lens.focal_px.iter().map(|v| decimal(*v, 9))),
-        list(lens.principal_point_px.iter().map(|v| decimal(*v, 9))),
+        list(lens.focal_px.iter().map(|v| decimal(*v, PIXEL_DECIMALS))),
+        list(lens.principal_point_px.iter().map(|v| decimal(*v, PIXEL_DECIMALS))),
         list(lens.distortion.iter().map(|v| decimal(*v, DIRECTION_DECIMALS))),
     );
     if lens.is_rational() {

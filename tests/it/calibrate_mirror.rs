@@ -7,9 +7,11 @@ use crate::support::truth::score::rms_and_aligned;
 use crate::support::truth::{frames, rig, track, truth};
 use catoptra::calibrate::geometry::tilt_axes;
 use catoptra::optics::Surface;
-use catoptra::rig::Rig;
+use catoptra::rig::check::{Warning, check};
+use catoptra::rig::{Draft, Rig};
 use catoptra::tally::{Drift, Drifted};
 use catoptra::track::TrackOptions;
+use std::path::Path;
 use std::process::{Command, Output};
 
 fn calibrate(place: &Place, run: &str, args: &[&str]) -> Output {
@@ -89,6 +91,33 @@ fn a_bumped_mirror_is_put_right_and_tracking_with_it_is_as_good_as_before() {
         );
         assert!(aligned_mm < 0.1 && aligned_mm < true_mm + 0.03, "{aligned_mm} mm, {true_mm} mm with the true rig");
     }
+}
+
+/// The new mirror has its own covariance, and the base frame measured with the old one is doubted until it is measured.
+#[test]
+fn the_covariance_is_that_of_the_new_mirror_and_the_base_frame_is_doubted() {
+    let calibrated = Rig::load(&crate::support::truth::file("calibration/dev_tank/rig.toml")).unwrap();
+    let place = Place::with(&moved(&calibrated, [1.0, 0.0], 3.0));
+    let noted = |path: &Path| {
+        let draft = Draft::load(path).unwrap();
+        let doubted = check(&draft).unwrap().warnings.contains(&Warning::BaseBeforeMirror);
+        (
+            ["mirror_offset_m", "mirror_tilt_1_rad", "front_wall_offset_m"].map(|name| draft.noted_sd(name).unwrap()),
+            doubted,
+        )
+    };
+    let (before, doubted) = noted(&place.rig);
+    assert!(!doubted);
+    ended_with(&calibrate(&place, "planar.mkv", &[]), 0);
+    let ([offset, tilt, wall], doubted) = noted(&place.rig);
+    let [_, turn_deg, shift_mm] = sd(&Rig::load(&place.rig).unwrap());
+    println!("σ of the mirror's offset {} m before, {offset} m now", before[0]);
+    assert!((offset * 1e3 - shift_mm).abs() < 1e-3 && (tilt.to_degrees() - turn_deg).abs() < 1e-4, "{offset} {tilt}");
+    assert!(offset > before[0] && wall == before[2] && doubted);
+    let mut base = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    base.current_dir(place.folder.path()).args(["calibrate", "base"]).arg(sample("rest.mkv"));
+    ended_with(&base.args(["--rig", "rig.toml"]).output().unwrap(), 0);
+    assert!(!noted(&place.rig).1);
 }
 
 #[test]

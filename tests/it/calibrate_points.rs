@@ -127,10 +127,48 @@ fn what_is_wrong_in_a_table_is_named_with_its_line() {
     assert!(twice.contains("a place that this view of this picture has once only"), "{twice}");
     let (_, sd) = refused(&good.replacen(",1.6\n", ",0\n", 1), &[]);
     assert!(sd.contains("points.csv:2: sd_px = `0`: expected a number of pixels above 0"), "{sd}");
+    // On no picture of the rig's size.
+    let first = good.lines().nth(1).unwrap().split(',').nth(2).unwrap();
+    for outside in ["1279.6", "-0.6"] {
+        let (code, told) = refused(&good.replacen(first, outside, 1), &[]);
+        let expected = format!("points.csv:2: u_px = `{outside}`: expected -0.5 to 1279.5: the rig's pictures have");
+        assert!(code == 2 && told.contains(&expected), "{told}");
+    }
     let (code, few) = refused(&table(&plate(), 2, true), &[]);
     assert!(code == 3 && few.contains("2 pictures show the board directly and in a mirror, at least 3"), "{few}");
     let (code, both) = refused(&good, &["--board", "9x6:12mm"]);
     assert!(code == 2 && both.contains("cannot be used with"), "{both}");
+}
+
+#[test]
+fn points_of_pictures_that_were_shown_smaller_are_asked_about() {
+    let asks = |scale: f64| {
+        let folder = tempfile::tempdir().unwrap();
+        let table = table(&plate(), 4, false);
+        let mut rows = table.lines();
+        let mut text = rows.next().unwrap().to_owned() + "\n";
+        for row in rows {
+            let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
+            for cell in &mut cells[2..4] {
+                *cell = (cell.parse::<f64>().unwrap() * scale).to_string();
+            }
+            text += &(cells.join(",") + "\n");
+        }
+        said(&calibrate(folder.path(), &text, &[])).contains("marked on pictures that were shown smaller?")
+    };
+    assert_eq!([asks(0.5), asks(1.0)], [true, false]);
+}
+
+/// It is found out before the work, and nothing is written.
+#[test]
+fn a_page_does_not_replace_a_file_that_is_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let notes = folder.path().join("rig.calibration.html");
+    std::fs::write(&notes, "notes of a user").unwrap();
+    let output = calibrate(folder.path(), &table(&plate(), 10, true), &[]);
+    assert!(output.status.code() == Some(2) && said(&output).contains("rig.calibration.html"), "{}", said(&output));
+    assert_eq!(std::fs::read_to_string(&notes).unwrap(), "notes of a user");
+    assert!(!folder.path().join("rig.toml").exists());
 }
 
 #[test]

@@ -128,6 +128,42 @@ fn the_sample_rig_is_found_within_its_predicted_deviations() {
     assert_eq!(std::fs::read_to_string(folder.path().join("rig.toml.bak")).unwrap(), lens());
 }
 
+/// The lens starts as `calibrate camera` left it, not from what the last run made of it.
+#[test]
+fn the_same_pictures_again_give_the_same_rig() {
+    let (folder, _) = calibrated(&["--tank", "254x254x267mm"]);
+    let path = folder.path().join("rig.toml");
+    let once = Draft::load(&path).unwrap();
+    assert_ne!(once.camera.lens, Draft::from_toml_str(lens(), Path::new("lens.toml")).unwrap().camera.lens);
+    let args = ["calibrate", "rig", &sample("mirror"), "--board", "9x6:12mm", "--rig", "rig.toml", "--glass", "5mm"];
+    let again = [&args[..], &["--tank", "254x254x267mm"]].concat();
+    let output = catoptra(folder.path(), &again);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let twice = Draft::load(&path).unwrap();
+    let numbers = |rig: &Draft| {
+        let lens = &rig.camera.lens;
+        let mut all = vec![lens.focal_px.x, lens.focal_px.y, lens.principal_point_px.x, lens.principal_point_px.y];
+        all.extend(lens.coefficients());
+        all.extend(
+            rig.surfaces.values().flat_map(|s| [s.plane().offset_m()].into_iter().chain(s.plane().normal().data.0[0])),
+        );
+        all
+    };
+    for (once, twice) in numbers(&once).into_iter().zip(numbers(&twice)) {
+        assert!((once - twice).abs() < 1e-9, "{once} {twice}");
+    }
+
+    // Older versions did not keep the lens of `calibrate camera`.
+    let mut older = twice.clone();
+    older.provenance["camera"].as_table_mut().unwrap().remove("lens").unwrap();
+    older.save(&path).unwrap();
+    let output = catoptra(folder.path(), &again);
+    let said = text(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains("provenance.camera.lens: missing"), "{said}");
+    assert!(said.contains("run `catoptra calibrate camera` again"), "{said}");
+    assert_eq!(Draft::load(&path).unwrap(), older);
+}
+
 #[test]
 fn a_tape_measure_makes_the_walls_certain_and_free_walls_are_found_too() {
     let (folder, _) = calibrated(&["--tank", "254x254x267mm", "--distance", "front_wall=1264mm:2mm"]);

@@ -243,6 +243,21 @@ fn mistakes_are_named() {
             "[provenance.rig]\nvolume_mm = [[0.0, 0.0, 0.0]]\n[provenance]",
             &["provenance.rig.volume_mm = 1 rows", "2 rows of 3 numbers, lowest and highest corner"],
         ),
+        (
+            "[provenance]",
+            "[provenance.rig]\nparameters = [\"a\", \"b\"]\ncovariance = [[4.0, 1.0], [1.1, 4.0]]\n[provenance]",
+            &["provenance.rig.covariance[1][0] = 1.1", "1, as in row 0 and column 1: a covariance is symmetric"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.rig]\nparameters = [\"a\", \"b\"]\ncovariance = [[4.0, 5.0], [5.0, 4.0]]\n[provenance]",
+            &["provenance.rig.covariance = ", "the least eigenvalue of its correlations is -0.25"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.camera.lens]\nfocal_px = [2700.0]\n[provenance]",
+            &["provenance.camera.lens.focal_px = [2700.0]", "a list of 2 finite numbers"],
+        ),
     ];
     for (from, to, expected) in cases {
         let message = read(&changed(from, to)).expect_err(to).to_string();
@@ -427,6 +442,14 @@ fn warnings_say_what_is_missing_or_odd() {
     any(&warned(&changed("centre_mm = 85.0\n", "")), "centre_mm not given for coil");
     any(&warned(&changed("b0 = [1.0, 0.0, 0.0]", "b0 = [0.0, 0.0, -1.0]")), "b0 is 90.0° off");
     any(&warned(&changed("[640.0, 512.0]", "[440.0, 512.0]")), "principal point is 200 px");
+    // In metres, not given, and in no view.
+    for (place, word) in [
+        ("[0.003, 1.094, 0.04]", "mm from where the views look"),
+        ("[0.0, 0.0, 0.0]", "mm from where the views look"),
+        ("[3.0, 1094.0, 150.0]", "in no view's region"),
+    ] {
+        any(&warned(&changed("[3.0, 1094.0, 40.0]", place)), word);
+    }
     any(&warned(&changed("[740.0, 612.0]", "[900.0, 612.0]")), "the regions of direct and mirror overlap");
     assert!(!warned(RIG).iter().any(|w| w.contains("pixels wide")));
     any(&warned(&changed("diameter_mm = 3.2", "diameter_mm = 1.6")), "view mirror: the tube is 3.");
@@ -630,6 +653,24 @@ fn deviations_of_an_imported_lens_are_kept() {
     assert!((draft.noted_sd("k3").unwrap() - 0.05).abs() < 1e-9);
 }
 
+/// At the catheter, errors of a lens that came without σ are not among those of the calibration.
+#[test]
+fn a_lens_that_is_taken_as_exact_is_told_at_the_catheter() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |parameters: &str| {
+        let mut draft = Draft::load(&dev_tank()).unwrap();
+        let noted = format!("parameters = [{parameters}, \"front_wall_offset_m\"]\ncovariance = [[1, 0], [0, 4e-6]]");
+        draft.provenance.insert("rig".into(), noted.parse::<toml::Table>().unwrap().into());
+        let rig = folder.path().join("rig.toml");
+        draft.save(&rig).unwrap();
+        let done = catoptra(&["rig", "check", rig.to_str().unwrap(), "--recording", "sample_frames/rest.mkv"]);
+        let text = String::from_utf8_lossy(&done.stdout).into_owned();
+        assert!(done.status.success() && text.contains("share of errors at the catheter"), "{text}");
+        text.contains("the lens is taken as exact")
+    };
+    assert_eq!([told("\"side_mirror_tilt_0_rad\""), told("\"focal_x_px\"")], [true, false]);
+}
+
 /// A camera of another tool whose numbers are those of no camera, or of other pictures.
 #[test]
 fn an_imported_lens_that_is_doubtful_is_warned_of_and_one_of_other_pictures_is_refused() {
@@ -658,6 +699,30 @@ fn an_imported_lens_that_is_doubtful_is_warned_of_and_one_of_other_pictures_is_r
         let (code, said) = import(&format!("{ros}{more}"));
         assert!(code == Some(2) && said.contains(word), "{more}: {said}");
     }
+    // Coefficients of another model, under any key by which programs name it.
+    let opencv = include_str!("../data/cameras/opencv4.yml");
+    for (more, code) in [
+        ("camera_model: fisheye\n", 2),
+        ("model: \"Kannala-Brandt\"\n", 2),
+        ("lens_model: EQUIDISTANT\n", 2),
+        ("projection_model: omni\n", 2),
+        ("model_type: fov\n", 2),
+        ("binning_x: 2\n", 2),
+        ("camera_model: \"acA1300-60gc\"\n", 0),
+        ("model_type: PINHOLE\n", 0),
+        ("lens_model: brown_conrady\n", 0),
+    ] {
+        let (found, said) = import(&format!("{opencv}{more}"));
+        let word = more.split(':').next().unwrap();
+        assert!(found == Some(code) && (code == 0 || said.contains(word)), "{more}: {said}");
+    }
+    let (code, said) = import(&format!("{opencv}cameraMatrix: [1.0, 0.0, 2.0, 0.0, 1.0, 2.0, 0.0, 0.0, 1.0]\n"));
+    assert!(code == Some(2) && said.contains("keep one of them"), "{said}");
+    let four = "image_width: 640\nimage_height: 480\ncamera_matrix: [600, 0, 320, 0, 600, 240, 0, 0, 1]\n";
+    for (p1, warned) in [("0.0004", false), ("0.02", true)] {
+        let (code, said) = import(&format!("{four}distortion_coefficients: [-0.03, 0.01, {p1}, 0.001]\n"));
+        assert!(code == Some(0) && said.contains("k1 to k4 of a fisheye") == warned, "{p1}: {said}");
+    }
     let whole = "binning_x: 0\nbinning_y: 1\nroi: {x_offset: 0, y_offset: 0, height: 0, width: 0}\n";
     assert_eq!(import(&format!("{ros}{whole}")).0, Some(0));
 }
@@ -683,6 +748,9 @@ fn colours_of_each_view_come_back_and_one_that_is_missing_is_named() {
     assert_eq!(read(&rig.to_toml_string()).unwrap().markers, rig.markers);
     let message = read(&with(colours(&["mirror"]))).unwrap_err().to_string();
     assert!(message.contains("marker.base.colours") && message.contains("direct, mirror"), "{message}");
+    let surplus = "[[marker.colours]]\nplanes = [[0.01, 0.0, 0.0, 0.2]]\nrgb = [150.0, 120.0, 40.0]\n";
+    let message = read(&with(colours(&["direct", "mirror"]) + surplus)).unwrap_err().to_string();
+    assert!(message.contains("marker.base.colours") && message.contains("one entry for each view"), "{message}");
     let none =
         with(colours(&["direct", "mirror"])).replacen("[[0.01, 0.0, -0.01, 0.2], [0.0, 0.02, -0.01, 0.1]]", "[]", 1);
     assert!(read(&none).unwrap_err().to_string().contains("one plane or more"));

@@ -423,6 +423,32 @@ fn a_new_lens_takes_what_was_found_with_the_old_one() {
     assert_eq!(Draft::load(&folder.path().join("rig.toml.bak")).unwrap(), before);
 }
 
+/// Places that were learned are not given by hand after a new lens, and pictures of another size are another camera's.
+#[test]
+fn what_was_learned_stays_learned_and_another_size_takes_what_the_old_pictures_gave() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, out) = (folder.path().join("camera.yaml"), folder.path().join("rig.toml"));
+    let ros = sample_text("ros.yaml");
+    let learned = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml");
+    let import = |text: &str| {
+        std::fs::copy(&learned, &out).unwrap();
+        std::fs::write(&file, text).unwrap();
+        let done = said(&catoptra(&["rig", "import", file.to_str().unwrap(), "--out", out.to_str().unwrap()]));
+        assert_eq!(done.0, Some(0), "{}", done.2);
+        (Draft::load(&out).unwrap(), done.2)
+    };
+    let before = Draft::load(&learned).unwrap();
+    assert_eq!(before.provenance["markers"]["places"].as_str(), Some("measured"));
+    let (same, told) = import(&ros);
+    assert_eq!(same.provenance["markers"], before.provenance["markers"]);
+    assert!(same.camera.blur_px.is_some() && told.contains("if this is another camera or lens"), "{told}");
+    let (other, told) = import(&ros.replace("image_width: 1280", "image_width: 1282"));
+    assert_eq!(other.provenance["markers"], before.provenance["markers"]);
+    assert_eq!(other.camera, Camera::new([1282, 1024], camera().lens));
+    assert!(other.markers.iter().all(|m| m.usual_residuals.is_empty() && m.centre_m.is_some()));
+    assert!(told.contains("pictures of another size and are left out"), "{told}");
+}
+
 #[test]
 fn the_command_refuses_with_exit_code_2() {
     let folder = tempfile::tempdir().unwrap();

@@ -90,8 +90,8 @@ impl Grey {
     }
 
     /// Reads PNG, JPEG, TIFF, BMP or PNM, whatever its extension: grey or colour (luma of BT.709), transparency
-    /// ignored. Samples of more than 8 bits are scaled so that the brightest becomes 255: sensors of 10 or 12 bits
-    /// often fill only the lower part of 16.
+    /// ignored. Samples of more than 8 bits are scaled so that the brightest, but for one in a thousand, become
+    /// 255: sensors of 10 or 12 bits often fill only the lower part of 16.
     ///
     /// # Errors
     /// [`GreyError`], which names the file.
@@ -154,6 +154,25 @@ impl Grey {
 }
 
 fn to_eight_bits(samples: &[u16]) -> Vec<u8> {
-    let brightest = u32::from(samples.iter().copied().max().unwrap_or(0)).max(1);
-    samples.iter().map(|s| ((u32::from(*s) * 255 + brightest / 2) / brightest) as u8).collect()
+    // A few stray bright samples (hot pixels, glints) would leave all else dark.
+    let mut sorted = samples.to_vec();
+    let last = (samples.len() * 999).div_ceil(1000).saturating_sub(1);
+    let brightest = if samples.is_empty() { 1 } else { u32::from(*sorted.select_nth_unstable(last).1).max(1) };
+    samples.iter().map(|s| ((u32::from(*s) * 255 + brightest / 2) / brightest).min(255) as u8).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_stray_bright_sample_does_not_darken_the_picture() {
+        let mut samples: Vec<u16> = (0..4000).map(|i| if i % 2 == 0 { 100 } else { 1000 }).collect();
+        let plain = to_eight_bits(&samples);
+        samples[7] = 65_535;
+        assert_eq!((plain[0], plain[1]), (26, 255));
+        assert_eq!(to_eight_bits(&samples), plain);
+        assert_eq!(to_eight_bits(&[0, 500, 1000]), [0, 128, 255]);
+        assert!(to_eight_bits(&[]).is_empty());
+    }
 }

@@ -353,14 +353,14 @@ fn without_taped((whole, corners): &(Solution, Vec<Corner>), start: &Initial) ->
 }
 
 /// The rig file with its mirrors, walls and views replaced by the new ones. Its base frame was found with the old ones
-/// and is removed, and what is said of how these were found.
+/// and is removed, and what is said of how these were found. Bands keep their colours in views of the same name.
 pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
     let geometry = &done.solution.geometry;
     draft.camera.lens = geometry.lens;
     draft.surfaces = geometry.surfaces.iter().cloned().collect();
     let optics: Vec<OpticalPath> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
     let regions = regions(&done.corners, &optics, draft.camera.size_px);
-    draft.views = geometry
+    let views = geometry
         .views
         .iter()
         .zip(optics.into_iter().zip(regions))
@@ -372,6 +372,7 @@ pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
             blur_px: draft.views.iter().find(|known| known.name == *name).and_then(|known| known.blur_px),
         })
         .collect();
+    draft.set_views(views);
     draft.base = None;
     for step in ["mirror", "base"] {
         draft.provenance.remove(step);

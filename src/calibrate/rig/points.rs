@@ -30,6 +30,9 @@ const REFINEMENTS: usize = 8;
 /// A target counts as flat if its points are this close to its plane, as a fraction of its size.
 const FLATNESS: f64 = 1e-6;
 const M_PER_MM: f64 = 1e-3;
+/// Points that fill no more than this part of width and height, from the upper left, may be those of pictures that were
+/// shown at half their size.
+const CORNER_PART: f64 = 0.55;
 
 /// Why a table cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -95,11 +98,11 @@ pub struct Points {
 }
 
 impl Points {
-    /// Reads a table for a rig with this number of mirrors.
+    /// Reads a table for a rig with this number of mirrors, of pictures of this size.
     ///
     /// # Errors
     /// [`PointsError`] with line, column and value.
-    pub fn read(file: &Path, mirrors: usize) -> Result<Self, PointsError> {
+    pub fn read(file: &Path, mirrors: usize, size_px: [u32; 2]) -> Result<Self, PointsError> {
         let read = |source| PointsError::Read { file: file.to_owned(), source };
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(file);
         let reader = reader.as_mut().map_err(|e| read(csv::Error::from(std::io::Error::other(e.to_string()))))?;
@@ -136,6 +139,13 @@ impl Points {
                 value.ok_or_else(|| wrong(column, at, "a number"))
             };
             let [u, v, x, y, z] = numbers.map(|(column, at)| number(column, at));
+            for ((column, at), size) in numbers.into_iter().zip(size_px) {
+                let end = f64::from(size) - 0.5;
+                if !(-0.5..=end).contains(&number(column, at)?) {
+                    let expected = format!("-0.5 to {end}: the rig's pictures have {} x {} px", size_px[0], size_px[1]);
+                    return Err(wrong(column, at, &expected));
+                }
+            }
             let relative_sd = match sd {
                 None => 1.0,
                 Some(at) => {
@@ -205,6 +215,13 @@ impl Points {
     /// Mean of the given σ, pixels.
     pub fn given_sd_px(&self) -> Option<f64> {
         self.given_sd_px
+    }
+
+    /// Whether all points lie where those of pictures of half the size would: in the upper left part of these.
+    pub fn may_be_of_smaller_pictures(&self, size_px: [u32; 2]) -> bool {
+        let pixels = || self.pictures.iter().flat_map(|p| p.views.iter().flatten()).map(|marked| marked.pixel);
+        let [right, bottom] = size_px.map(|size| f64::from(size) * CORNER_PART);
+        pixels().next().is_some() && pixels().all(|pixel| pixel.x < right && pixel.y < bottom)
     }
 
     /// Whether all points lie in the plane z = 0.

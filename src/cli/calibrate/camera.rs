@@ -6,7 +6,7 @@ use super::{can_be_written, left_out, save};
 use crate::calibrate::board::Board;
 use crate::calibrate::board::BoardPicture;
 use crate::calibrate::camera::{CameraCalibration, CameraError, LensModel, calibrate_camera};
-use crate::rig::{Camera, Draft};
+use crate::rig::{Camera, Draft, lens_note};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -25,7 +25,7 @@ pub(super) struct CameraArgs {
     /// Coefficients of distortion: 5 (k1, k2, p1, p2, k3), or 8 of the rational model for wide angles
     #[arg(long, value_name = "5|8", default_value = "5", value_parser = lens_model)]
     lens: LensModel,
-    /// Rig file to write; what an existing one says beside the camera is kept
+    /// Rig file to write; an existing one keeps its bands, and loses what was found with the old lens
     #[arg(long, short, value_name = "RIG.toml")]
     pub(super) out: PathBuf,
 }
@@ -58,7 +58,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     }
     let mut draft = match old {
         Some(old) => {
-            if let Some(said) = left_out(&old) {
+            if let Some(said) = left_out(&old, done.size_px) {
                 print(&format!("\n{said}\n"))?;
             }
             old.with_lens(done.size_px, done.lens)
@@ -67,6 +67,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     };
     let mut provenance = pictures::provenance("camera", &args.board, &searched)?;
     provenance.insert("corner_sd_px".into(), done.corner_sd_px.into());
+    provenance.insert("lens".into(), lens_note(&done.lens).into());
     let rows = done.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
     provenance.insert("lens_covariance".into(), rows.collect::<Vec<toml::Value>>().into());
     let noise: Vec<toml::Value> =

@@ -2,9 +2,10 @@
 
 use super::super::{Exit, Failure, fitting};
 use super::{Length, can_be_written, save};
+use crate::calibrate::geometry::Parameter;
 use crate::calibrate::mirror::KnownLength;
 use crate::calibrate::mirror::{self, MirrorCalibration, MirrorError, RIG_LENGTH_SD_M, calibrate_mirror};
-use crate::rig::Rig;
+use crate::rig::{MIRROR_MOVED, Rig, renew_covariance};
 use crate::source::{FrameRate, SourceOptions};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -96,10 +97,24 @@ pub(super) fn run(args: &MirrorArgs, print: impl Fn(&str) -> Result<(), Failure>
         // A move within its σ would replace a good position by a less certain one.
         print("Within its uncertainty the mirror has not moved: its position is kept.\n")?;
         done.rig = rig;
+    } else {
+        of_moved_mirror(&mut done);
     }
     done.rig.provenance.insert("mirror".into(), provenance);
     let written = save(&done.rig.into(), out)?;
     print(&format!("\n{written}\n"))
+}
+
+/// Notes the new mirror's covariance in place of the old one's, and that the base frame is from before.
+fn of_moved_mirror(done: &mut MirrorCalibration) {
+    let names = Parameter::of_surface(0).map(|parameter| parameter.name(|_| done.name.as_str()));
+    renew_covariance(&mut done.rig.provenance, &names, &done.covariance);
+    if done.rig.base.is_some() {
+        let noted = done.rig.provenance.entry("base").or_insert_with(|| toml::Table::new().into());
+        if let Some(noted) = noted.as_table_mut() {
+            noted.insert(MIRROR_MOVED.into(), true.into());
+        }
+    }
 }
 
 fn failure(args: &MirrorArgs, error: MirrorError) -> Failure {

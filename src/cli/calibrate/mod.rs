@@ -14,7 +14,7 @@ use crate::calibrate::length_m;
 use crate::calibrate::rig::RigOptions;
 use crate::rig::{Draft, Rig};
 use clap::Subcommand;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 /// Arguments of `catoptra calibrate`.
@@ -124,7 +124,7 @@ pub(in crate::cli) fn rig(arguments: &[String], print: impl Fn(&str) -> Result<(
 /// The initial rig file of these arguments, and the options that they set.
 pub(in crate::cli) fn rig_to_calibrate(arguments: &[String]) -> Result<(Draft, RigOptions), Failure> {
     let args: rig::RigArgs = parsed(arguments)?;
-    let draft = Draft::load(&args.rig)?;
+    let draft = Draft::load(&args.rig)?.with_own_lens(&args.rig)?;
     let options = rig::options(&args, &draft)?;
     Ok((draft, options))
 }
@@ -174,6 +174,19 @@ pub(super) fn save(rig: &Draft, path: &Path) -> Result<String, Failure> {
     Ok(format!("written: {}{kept}", path.display()))
 }
 
+/// Where a page of this kind goes beside the rig: RIG.KIND.html for RIG.toml. Checks that it replaces only a page.
+fn page_beside(rig: &Path, kind: &str) -> Result<PathBuf, Failure> {
+    let stem = match rig.extension() {
+        Some(extension) if extension == "toml" => rig.with_extension(""),
+        _ => rig.to_path_buf(),
+    };
+    let mut name = stem.into_os_string();
+    name.push(format!(".{kind}.html"));
+    let page = PathBuf::from(name);
+    output::is_free_for_page(&page)?;
+    Ok(page)
+}
+
 /// Writes a page beside the rig.
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
     let _whole = interrupt::wait();
@@ -182,16 +195,38 @@ fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What a new lens removes from a rig, in words.
-pub(super) fn left_out(old: &Draft) -> Option<&'static str> {
-    let something = !old.surfaces.is_empty() || !old.views.is_empty() || old.base.is_some();
-    something
-        .then_some("mirror, walls, views and base frame of the old file were found with the old lens and are left out")
+/// What a new lens, for pictures of this size, removes from a rig, in words.
+pub(super) fn left_out(old: &Draft, size_px: [u32; 2]) -> Option<String> {
+    let found = !old.surfaces.is_empty() || !old.views.is_empty() || old.base.is_some();
+    let found = found
+        .then_some("mirror, walls, views and base frame of the old file were found with the old lens and are left out");
+    let measured = old.measured_on_pictures().then_some(if size_px == old.camera.size_px {
+        "what was measured of the camera's blur, colours and exposure, and the bands' usual residuals, are kept: if \
+         this is another camera or lens, teach the bands again (catoptra calibrate markers)"
+    } else {
+        "blur, colour offsets, gamma, exposure, readout and the bands' usual residuals were those of pictures of \
+         another size and are left out: teach the bands again (catoptra calibrate markers) when the mirrors are \
+         calibrated"
+    });
+    let said: Vec<&str> = found.into_iter().chain(measured).collect();
+    (!said.is_empty()).then(|| said.join("; "))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_rig_has_its_own_page() {
+        for (rig, page) in [
+            ("src/rig.toml", "src/rig.markers.html"),
+            ("site.a", "site.a.markers.html"),
+            ("site.b", "site.b.markers.html"),
+            ("rig.v2.toml", "rig.v2.markers.html"),
+        ] {
+            assert_eq!(page_beside(Path::new(rig), "markers").unwrap(), Path::new(page));
+        }
+    }
 
     #[test]
     fn lengths_as_people_write_them() {

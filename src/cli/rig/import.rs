@@ -5,7 +5,7 @@ use super::Failure;
 use crate::archive::hash;
 use crate::calibrate::geometry::Parameter;
 use crate::rig::formats::Format;
-use crate::rig::{Draft, of_camera};
+use crate::rig::{Draft, lens_note, of_camera};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -76,8 +76,8 @@ pub(super) fn run(
     let camera = format.read(&text, &args.file)?;
     let mut draft = match old {
         Some(old) => {
-            if let Some(said) = left_out(&old) {
-                note(said);
+            if let Some(said) = left_out(&old, camera.size_px) {
+                note(&said);
             }
             old.with_lens(camera.size_px, camera.lens)
         }
@@ -88,6 +88,7 @@ pub(super) fn run(
     let mut provenance = toml::Table::from_iter([
         ("made_by".to_owned(), format!("catoptra {} rig import", env!("CARGO_PKG_VERSION")).into()),
         ("format".to_owned(), format.to_string().into()),
+        ("lens".to_owned(), lens_note(&draft.camera.lens).into()),
         ("inputs_sha256".to_owned(), toml::Table::from_iter([(file, sha256.into())]).into()),
     ]);
     if let Some(Deviations(sd)) = &args.sd {
@@ -100,6 +101,11 @@ pub(super) fn run(
         provenance.insert("lens_covariance".into(), (0..n).map(|i| row(i).into()).collect::<Vec<toml::Value>>().into());
     }
     draft.provenance.insert("camera".into(), provenance.into());
+    if let Some(doubt) =
+        fisheye_doubt(format, &draft.camera.lens.distortion).filter(|_| !draft.camera.lens.is_rational())
+    {
+        tracing::warn!("{}: {doubt}", args.file.display());
+    }
     for warning in of_camera(&draft.camera, draft.views.is_empty()) {
         tracing::warn!("{}: {warning}", args.file.display());
     }
@@ -113,6 +119,21 @@ pub(super) fn run(
     };
     note(known);
     print(&format!("{written}\n"))
+}
+
+/// Four coefficients may also be k1 to k4 of OpenCV's fisheye model, whose files look the same. A lens that is mounted
+/// straight has p1 and p2 below this.
+const USUAL_TANGENTIAL: f64 = 2e-3;
+
+fn fisheye_doubt(format: Format, [_, _, p1, p2, k3]: &[f64; 5]) -> Option<String> {
+    let unusual = p1.abs() > USUAL_TANGENTIAL || p2.abs() > USUAL_TANGENTIAL;
+    (format == Format::OpenCv && *k3 == 0.0 && unusual).then(|| {
+        format!(
+            "the coefficients were read as k1, k2, p1, p2, and p1 = {p1}, p2 = {p2} are large for a lens that is \
+             mounted straight: if they are k1 to k4 of a fisheye model, this camera is wrong; calibrate it with \
+             `catoptra calibrate camera`"
+        )
+    })
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 
 pub mod dlt;
 mod kalibr;
+mod model;
 mod opencv;
 mod ros;
 mod yaml;
@@ -111,6 +112,7 @@ impl Format {
 
 /// A camera from the matrices that OpenCV and ROS both write.
 fn from_matrices(root: &Node<'_>) -> Result<Camera, RigError> {
+    model::of_a_rig(root)?;
     let matrix = root.need(&["camera_matrix", "k"], "the camera's matrix of 3 x 3 numbers")?;
     let &[fx, skew, cx, zero, fy, cy, a, b, one] = matrix.numbers()?.as_slice() else {
         return Err(matrix.wrong("a matrix of 3 x 3 numbers"));
@@ -124,7 +126,32 @@ fn from_matrices(root: &Node<'_>) -> Result<Camera, RigError> {
         &["distortion_coefficients", "dist_coeffs", "dist_coeff", "d"],
         "the lens's distortion k1, k2, p1, p2, k3",
     )?;
+    of_whole_pictures(root, size_px)?;
     camera(&matrix, size_px, [fx, fy, cx, cy], distortion(&coefficients)?)
+}
+
+/// The matrix of a ROS message is that of its sensor's whole pictures, which those that are recorded may not be.
+fn of_whole_pictures(root: &Node<'_>, size_px: [u32; 2]) -> Result<(), RigError> {
+    for name in ["binning_x", "binning_y"] {
+        if let Some(binning) = root.get(&[name])
+            && binning.number()? > 1.0
+        {
+            return Err(binning.wrong(
+                "0 or 1: the matrix is that of pictures without binning; calibrate with those that you record",
+            ));
+        }
+    }
+    let Some(roi) = root.get(&["roi"]) else { return Ok(()) };
+    for (name, whole) in [("width", size_px[0]), ("height", size_px[1])] {
+        if let Some(side) = roi.get(&[name])
+            && ![0.0, f64::from(whole)].contains(&side.number()?)
+        {
+            return Err(side.wrong(format!(
+                "0 or {whole}: the matrix is that of whole pictures; calibrate with those that you record"
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// OpenCV's names of distortion coefficients, in its order.

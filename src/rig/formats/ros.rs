@@ -21,32 +21,7 @@ pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
         let beyond = camera.lens.denominator;
         return Err(model.wrong(format!("rational_polynomial where k4, k5, k6 are {beyond:?}")));
     }
-    of_whole_pictures(root, camera.size_px)?;
     Ok(camera)
-}
-
-/// The matrix of a message is that of its sensor's whole pictures, which those that are recorded may not be.
-fn of_whole_pictures(root: &Node<'_>, size_px: [u32; 2]) -> Result<(), RigError> {
-    for name in ["binning_x", "binning_y"] {
-        if let Some(binning) = root.get(&[name])
-            && binning.number()? > 1.0
-        {
-            return Err(binning.wrong(
-                "0 or 1: the matrix is that of pictures without binning; calibrate with those that you record",
-            ));
-        }
-    }
-    let Some(roi) = root.get(&["roi"]) else { return Ok(()) };
-    for (name, whole) in [("width", size_px[0]), ("height", size_px[1])] {
-        if let Some(side) = roi.get(&[name])
-            && ![0.0, f64::from(whole)].contains(&side.number()?)
-        {
-            return Err(side.wrong(format!(
-                "0 or {whole}: the matrix is that of whole pictures; calibrate with those that you record"
-            )));
-        }
-    }
-    Ok(())
 }
 
 /// There is no rectification; the projection matrix is the camera's own.

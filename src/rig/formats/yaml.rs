@@ -69,7 +69,6 @@ impl<'a> Node<'a> {
     /// The entry under one of these names, whichever comes first. `camera_matrix`, `cameraMatrix` and `Camera_Matrix`
     /// count as one name: OpenCV's own samples write all three.
     pub(super) fn get(&self, names: &[&str]) -> Option<Self> {
-        let plain = |name: &str| name.replace('_', "").to_ascii_lowercase();
         let entries = self.value.as_hash()?;
         let (key, value) = names.iter().find_map(|name| {
             entries.iter().find_map(|(key, value)| {
@@ -80,14 +79,20 @@ impl<'a> Node<'a> {
         Some(self.under(key, value))
     }
 
-    /// As [`Node::get`]; an error when it is missing.
+    /// As [`Node::get`]; an error when it is missing, or there under two names with different values.
     pub(super) fn need(&self, names: &[&str], what: &str) -> Result<Self, RigError> {
         let name = names.first().copied().unwrap_or_default();
-        self.get(names).ok_or_else(|| RigError::Key {
+        let found = self.get(names).ok_or_else(|| RigError::Key {
             file: self.file.to_path_buf(),
             key: self.path(name),
             problem: format!("missing, expected {what}"),
-        })
+        })?;
+        let known: Vec<String> = names.iter().map(|name| plain(name)).collect();
+        let others = self.entries().into_iter().filter(|(key, _)| known.contains(&plain(key)));
+        match others.map(|(_, other)| other).find(|other| other.value != found.value) {
+            Some(other) => Err(found.wrong(format!("what {} says, {}: keep one of them", other.key, other.shown()))),
+            None => Ok(found),
+        }
     }
 
     /// All entries that have a name.
@@ -151,6 +156,11 @@ impl<'a> Node<'a> {
             .map(|item| finite(item).ok_or_else(|| self.wrong(format!("numbers, {} is none", show(item)))))
             .collect()
     }
+}
+
+/// A name without what OpenCV's samples write in different ways.
+fn plain(name: &str) -> String {
+    name.replace('_', "").to_ascii_lowercase()
 }
 
 /// A count of pixels; some programs write `1280.`.

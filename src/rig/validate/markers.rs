@@ -86,7 +86,8 @@ impl Check<'_> {
         }
         let named: Vec<&str> = raw.iter().filter_map(|colour| colour.view.as_deref()).collect();
         let all: Vec<&str> = views.iter().map(|view| view.name.as_str()).collect();
-        if raw.is_empty() || named == all || (raw.len() == 1 && named.is_empty()) {
+        let all_named = named == all && (views.is_empty() || raw.len() == named.len());
+        if raw.is_empty() || all_named || (raw.len() == 1 && named.is_empty()) {
             return Ok(colours);
         }
         let expected =

@@ -10,7 +10,7 @@ pub(crate) use markers::longest_stiff_m;
 
 use super::error::nearest;
 use super::file::RigFile;
-use super::{Draft, Rig, RigError, covariance};
+use super::{Draft, Rig, RigError, covariance, own_lens};
 use crate::optics::UNIT_TOLERANCE;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -34,7 +34,8 @@ pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     check.bands_apart(&markers)?;
     let catheter = raw.catheter.map(|catheter| check.catheter(&catheter, &markers)).transpose()?;
     let base = raw.base.map(|base| check.base(&base)).transpose()?;
-    if let Some(covariance::Wrong { key, value, expected }) = covariance::wrong(&raw.provenance, &camera.lens) {
+    let wrong = covariance::wrong(&raw.provenance, &camera.lens).or_else(|| own_lens::wrong(&raw.provenance));
+    if let Some(covariance::Wrong { key, value, expected }) = wrong {
         return Err(check.value(key, value, expected));
     }
     Ok(Draft { camera, surfaces, views, markers, catheter, base, provenance: raw.provenance })

@@ -7,9 +7,10 @@ mod words;
 pub(super) use picked::rig_with_picks;
 
 use super::super::{Exit, Failure, fitting};
-use super::{Length, can_be_written, save, save_page};
+use super::{Length, can_be_written, page_beside, save, save_page};
 use crate::calibrate::markers::{MarkersError, MarkersOptions, Teaching, calibrate_markers};
 use crate::report::teaching::{self, TeachingInfo};
+use crate::rig::Rig;
 use crate::source::{FrameRate, SourceOptions};
 use clicks::{PickArg, RegionArg, exposure_s};
 use picked::{picks, places, stiff_enough_to_bend};
@@ -70,6 +71,7 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
     let out = args.out();
     let rig = rig_with_picks(args)?;
     can_be_written(out)?;
+    let page_path = page_beside(out, "markers")?;
     if !(args.at.is_finite() && args.at >= 0.0) {
         return Err(Failure::usage(format!(
             "--at {}: expected seconds from the recording's start, 0 or more",
@@ -79,9 +81,9 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
     let picks = picks(args, &rig)?;
     let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
     let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
-    let options = MarkersOptions { after_ns: (args.at * 1e9) as i64, exposure_s: args.exposure };
+    let exposure_s = args.exposure.or_else(|| stated_exposure_s(&rig));
+    let options = MarkersOptions { after_ns: (args.at * 1e9) as i64, exposure_s };
     let mut done = calibrate_markers(&rig, &picks, &options, &mut frames);
-    let page_path = out.with_extension("markers.html");
     // Without a frame there is nothing to show.
     let page = done.frame.is_some().then(|| teaching::page(&info(args, out), &done));
     if let Err(error) = done.outcome {
@@ -95,7 +97,7 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
         return Err(failure(args, error, &note));
     }
     stiff_enough_to_bend(args, &done.rig.markers, done.rig.catheter.coil)?;
-    let provenance = provenance(args, &done, places(&rig));
+    let provenance = provenance(args, &done, places(&rig), exposure_s.is_some());
     done.rig.provenance.insert("markers".into(), provenance.into());
     print(&words::describe(&done))?;
     for warning in words::warnings(&done) {
@@ -138,12 +140,41 @@ fn failure(args: &MarkersArgs, error: MarkersError, note: &str) -> Failure {
     Failure::new(exit, format!("{}: {error}{note}", args.source.display()))
 }
 
-fn provenance(args: &MarkersArgs, done: &Teaching, places: &str) -> toml::Table {
+/// Where the exposure is from, as noted: stated by hand or by --exposure, or learned from motion blur.
+const EXPOSURE_FROM: &str = "exposure_from";
+const STATED: &str = "stated";
+const LEARNED: &str = "learned";
+const NOT_KNOWN: &str = "not known";
+
+/// The exposure of the rig, if it was stated. Files of older versions do not say where it is from once bands were
+/// learned: then it is learned again.
+fn stated_exposure_s(rig: &Rig) -> Option<f64> {
+    let learned = rig.provenance.get("markers");
+    let from = learned.and_then(|noted| noted.get(EXPOSURE_FROM)?.as_str());
+    // One that was not known then was stated since.
+    let is_stated = learned.is_none() || matches!(from, Some(STATED | NOT_KNOWN));
+    if let Some(exposure_s) = rig.camera.exposure_s.filter(|_| !is_stated && from.is_none()) {
+        tracing::warn!(
+            "the rig's exposure of {} ms may have been stated or learned: it is learned again, unless \
+             --exposure states it",
+            exposure_s * 1e3
+        );
+    }
+    rig.camera.exposure_s.filter(|_| is_stated)
+}
+
+fn provenance(args: &MarkersArgs, done: &Teaching, places: &str, exposure_is_stated: bool) -> toml::Table {
     let mut table = toml::Table::new();
     let file = args.source.file_name().unwrap_or_default().to_string_lossy().into_owned();
     table.insert("made_by".into(), format!("catoptra {} calibrate markers", env!("CARGO_PKG_VERSION")).into());
     table.insert("recording".into(), file.into());
     table.insert("places".into(), places.into());
+    let exposure_from = match done.rig.camera.exposure_s {
+        Some(_) if exposure_is_stated => STATED,
+        Some(_) => LEARNED,
+        None => NOT_KNOWN,
+    };
+    table.insert(EXPOSURE_FROM.into(), exposure_from.into());
     if let Ok(learned) = &done.outcome {
         table.insert("frames".into(), (learned.frames as i64).into());
         let round = |v: f64| (v * 1e3).round() / 1e3;
@@ -158,4 +189,25 @@ fn provenance(args: &MarkersArgs, done: &Teaching, places: &str) -> toml::Table 
         }
     }
     table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_exposure_that_was_stated_is_kept_and_a_learned_one_is_learned_again() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml");
+        let mut rig = Rig::load(&file).unwrap();
+        rig.camera.exposure_s = Some(0.01);
+        let mut kept = |from: Option<&str>| {
+            let noted = from.map(|from| toml::Table::from_iter([(EXPOSURE_FROM.to_owned(), from.into())]));
+            rig.provenance.insert("markers".into(), noted.unwrap_or_default().into());
+            stated_exposure_s(&rig)
+        };
+        let found = [Some(STATED), Some(LEARNED), Some(NOT_KNOWN), None].map(&mut kept);
+        assert_eq!(found, [Some(0.01), None, Some(0.01), None]);
+        rig.provenance.remove("markers");
+        assert_eq!(stated_exposure_s(&rig), Some(0.01));
+    }
 }

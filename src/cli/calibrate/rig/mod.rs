@@ -8,7 +8,7 @@ pub(super) use args::{RigArgs, options};
 use super::super::progress::during;
 use super::super::{Exit, Failure, provenance};
 use super::pictures::{self, SearchedPicture};
-use super::{can_be_written, save, save_page};
+use super::{can_be_written, page_beside, save, save_page};
 use crate::calibrate::board::{Board, BoardPicture, Grey, Rows};
 use crate::calibrate::rig::diagnostics::diagnose;
 use crate::calibrate::rig::expected_error::{Verdict, verdict};
@@ -28,8 +28,9 @@ const SD_RATIO_TOLERANCE: f64 = 1.5;
 pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     let out = args.out();
     can_be_written(out)?;
+    let page_path = page_beside(out, "calibration")?;
 
-    let draft = Draft::load(&args.rig)?;
+    let draft = Draft::load(&args.rig)?.with_own_lens(&args.rig)?;
     let mut options = options(args, &draft)?;
     let seen = seen(args, &draft, &mut options, quiet)?;
     let searched = seen.searched();
@@ -55,11 +56,13 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     let doubts: Vec<String> = diagnose(&done, &held).iter().map(ToString::to_string).collect();
     doubts.iter().for_each(|doubt| tracing::warn!("doubt: {doubt}"));
     let page = calibration::page(&info(args, out, &seen, &done), &done, judged.as_ref(), &held);
-    let mut rig = into_draft(draft, &done);
+    let mut rig = into_draft(draft.clone(), &done);
+    if let Some(said) = without_colours(&draft, &rig) {
+        tracing::warn!("{said}");
+    }
     rig.provenance.insert("rig".into(), provenance(&seen, &done, judged.as_ref(), doubts)?.into());
     let written = save(&rig, out)?;
     print(&format!("\n{written}\n"))?;
-    let page_path = out.with_extension("calibration.html");
     save_page(&page, &page_path)?;
     print(&format!("         {} (how good it is, for a browser)\n", page_path.display()))
 }
@@ -110,7 +113,17 @@ fn other_squares(seen: &Seen, draft: &Draft) -> Option<String> {
 /// Searches the pictures for boards, including those taped to walls, or reads the points.
 fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) -> Result<Seen, Failure> {
     if let Some(file) = &args.points {
-        let points = Points::read(file, args.mirrors).map_err(Failure::usage)?;
+        let size_px = draft.camera.size_px;
+        let points = Points::read(file, args.mirrors, size_px).map_err(Failure::usage)?;
+        if points.may_be_of_smaller_pictures(size_px) {
+            tracing::warn!(
+                "{}: all points lie in the upper left of the pictures of {} x {} px: were they marked on pictures that \
+                 were shown smaller?",
+                file.display(),
+                size_px[0],
+                size_px[1]
+            );
+        }
         return Ok(Seen::Points { file: file.clone(), points });
     }
     let Some(board) = args.board.clone() else {
@@ -188,6 +201,22 @@ fn other_sd(seen: &Seen, done: &RigCalibration) -> Option<String> {
     (!is_as_stated).then(|| {
         format!(
             "points were stated to be good to {given_px:.2} px, but are off by {found_px:.2}: σ are based on the latter"
+        )
+    })
+}
+
+/// Says which bands have lost their colours: they had none for one of the new views.
+fn without_colours(before: &Draft, after: &Draft) -> Option<String> {
+    let pairs = before.markers.iter().zip(&after.markers);
+    let lost = pairs.filter(|(before, after)| !before.colours.is_empty() && after.colours.is_empty());
+    let lost: Vec<&str> = lost.map(|(marker, _)| marker.name.as_str()).collect();
+    let names = |draft: &Draft| draft.views.iter().map(|view| view.name.as_str()).collect::<Vec<_>>().join(", ");
+    (!lost.is_empty()).then(|| {
+        format!(
+            "the colours of {} are left out: they were not learned for all of the views, which are now {}; teach the \
+             bands again (catoptra calibrate markers)",
+            lost.join(", "),
+            names(after)
         )
     })
 }
