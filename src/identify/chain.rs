@@ -7,6 +7,7 @@ use super::estimated::{Estimated, Refined};
 use super::fit::{InitialState, Kind, compare};
 use super::identification::{Fit, Identification};
 use super::initial::initial_models;
+use super::left::{self, Left};
 use super::model::Noise;
 use super::model::{Orders, Polynomials, angle};
 use super::model_error::ModelError;
@@ -16,9 +17,10 @@ use super::reduce::{Reduced, Reduction, Target, reduce, reduce_in_band};
 use super::residuals::Residuals;
 use super::search::{Candidate, Criterion, best, search};
 use super::settings::{Choice, Estimator, Settings};
-use super::shortest::{Delayed, as_well, shortest};
+use super::shortest::{Delayed, as_well, is_better, shortest};
 use super::spectrum::spectrum;
 use super::uncertainty::Covariance;
+use super::whitened::Whitened;
 use super::{IdentifyError, arx, instrumental, output_error};
 
 /// Identifies.
@@ -71,6 +73,9 @@ pub(crate) fn identify_with_progress(
     let reduced = reduced.map(|(reduced, _)| reduced).map_err(|e| e.to_string());
     let mut refined = Err("there is no reduced model to begin from".to_owned());
     let mut other_delays = Vec::new();
+    let mut earlier_delay = None;
+    // By Eq. 6 the output's noise is in its own input.
+    let of_output = training.iter().any(|s| s.instrument.is_some());
     if let Ok(reduced) = &reduced {
         let covariance = reduced_covariance(estimated, reduced, how);
         let title = format!("reduced, order {}", reduced.model.order());
@@ -79,18 +84,25 @@ pub(crate) fn identify_with_progress(
         progress("fitting the refined model");
         let how = Reduction { band: how.band.or(Some(excited)), ..how };
         let found = refine_reduced(&training, estimated, reduced, how, &delays(&settings.choice));
-        refined = found.map_err(|e| e.to_string()).map(|(refined, others)| {
-            other_delays = others;
-            refined
+        refined = found.map_err(|e| e.to_string()).map(|found| {
+            other_delays = found.others;
+            earlier_delay = found.earlier.filter(|_| !of_output);
+            found.refined
         });
     }
     let mut model_error = None;
+    let mut left = None;
     if let Ok(refined) = &refined {
         let Estimated { model, covariance, .. } = &refined.estimated;
         model_error = ModelError::of(&training, estimated, &refined.estimated, settings.initial_state);
         let title = format!("refined, order {}", model.order());
-        // Its errors are those of its order; a σ of noise would be wrong.
-        let covariance = model_error.is_none().then(|| covariance.clone());
+        let shortest = delays(&settings.choice).first().copied().unwrap_or(model.nk);
+        left = Left::of(&training, model, shortest);
+        let may_be = !settings.commanded && !of_output;
+        let doubted = left.is_some_and(|left| left.follows() || may_be && left.is_fed_back());
+        // Its errors are those of its order, of rows that are shifted, or of feedback; a σ of noise would be wrong.
+        let sound = model_error.is_none() && earlier_delay.is_none() && !doubted;
+        let covariance = sound.then(|| covariance.clone());
         models.push(modelled(Role::Refined, title, model, covariance));
     }
     // 5. averaged periods, where the input repeats
@@ -105,8 +117,8 @@ pub(crate) fn identify_with_progress(
     }
     // 6. uncertainty
     let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());
-    let biased = settings.estimator == Estimator::Arx
-        && (training.iter().any(|s| s.instrument.is_some()) || !residuals.as_ref().is_some_and(Residuals::look_white));
+    let biased =
+        settings.estimator == Estimator::Arx && (of_output || !residuals.as_ref().is_some_and(Residuals::look_white));
     progress(&format!("repeating the experiment {} times (--bootstrap)", settings.bootstrap));
     let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, how, settings, biased);
     progress("comparing the models with the records");
@@ -119,7 +131,9 @@ pub(crate) fn identify_with_progress(
         reduced,
         refined,
         other_delays,
+        earlier_delay,
         model_error,
+        left,
         periodic,
         models,
         fits,
@@ -205,14 +219,45 @@ fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Op
     full.covariance.propagate(full.model.parameters().as_slice(), parameters)
 }
 
-impl Delayed for Refined {
+/// A refined model, and its deviance with the colour of noise that it is compared by.
+#[derive(Debug, Clone)]
+struct Tried {
+    refined: Refined,
+    deviance: f64,
+}
+
+impl Delayed for Tried {
     fn nk(&self) -> usize {
-        self.estimated.model.nk
+        self.refined.estimated.model.nk
     }
 
     fn deviance(&self) -> f64 {
-        self.estimated.samples as f64 * self.estimated.noise_variance.ln()
+        self.deviance
     }
+}
+
+/// Deviances of models of the same data. Taken for white, noise that is alike from sample to sample would make much of
+/// differences that are none: all are judged by the colour of what the nearest model leaves.
+fn compared(training: &[Segment], found: &[Refined]) -> Vec<Tried> {
+    let variance = |refined: &&Refined| refined.estimated.noise_variance;
+    let nearest = found.iter().min_by(|a, b| variance(a).total_cmp(&variance(b)));
+    let colour = nearest.and_then(|refined| left::colour(training, &refined.estimated.model));
+    let tried = |refined: &Refined| {
+        let Estimated { model, samples, noise_variance, .. } = &refined.estimated;
+        let whitened = colour.as_ref().and_then(|colour| Whitened::of(training, model, &[], colour));
+        let as_white = *samples as f64 * noise_variance.ln();
+        Tried { refined: refined.clone(), deviance: whitened.map_or(as_white, |whitened| whitened.deviance()) }
+    };
+    found.iter().map(tried).collect()
+}
+
+/// What came of refining.
+struct RefinedDelays {
+    refined: Refined,
+    /// Other delays that explain the data about as well.
+    others: Vec<usize>,
+    /// A delay below those searched that explains them clearly better.
+    earlier: Option<usize>,
 }
 
 /// Output error of the reduced model's orders, and other delays with which it explains the data about as well. The
@@ -225,7 +270,7 @@ fn refine_reduced(
     reduced: &Reduced,
     in_band: Reduction,
     delays: &[usize],
-) -> Result<(Refined, Vec<usize>), IdentifyError> {
+) -> Result<RefinedDelays, IdentifyError> {
     let in_band = Reduction { target: Target::Order(reduced.model.order()), ..in_band };
     let mut initial = vec![reduced.model.clone()];
     initial.extend(reduce(&full.model, in_band).ok().map(|r| r.model));
@@ -233,20 +278,35 @@ fn refine_reduced(
     let first = output_error::refine_from_any(training, &initial)?;
     let mut tried = vec![first.estimated.model.nk];
     let mut found = vec![first];
-    loop {
-        let next = as_well(&found).find_map(|refined| {
-            let here = &refined.estimated.model;
+    let again = |model: Polynomials| {
+        let mut initial = initial_models(training, model.orders());
+        initial.push(model);
+        output_error::refine_from_any(training, &initial).ok()
+    };
+    let (refined, others) = loop {
+        let by_colour = compared(training, &found);
+        let next = as_well(&by_colour).find_map(|tried_one| {
+            let here = &tried_one.refined.estimated.model;
             let nk = delays.iter().find(|nk| nk.abs_diff(here.nk) == 1 && !tried.contains(nk))?;
             Some(Polynomials { nk: *nk, ..here.clone() })
         });
         let Some(delayed) = next else {
-            return shortest(&found).ok_or(IdentifyError::NoneDetermined);
+            let (taken, others) = shortest(&by_colour).ok_or(IdentifyError::NoneDetermined)?;
+            break (taken.refined, others);
         };
         tried.push(delayed.nk);
-        let mut initial = initial_models(training, delayed.orders());
-        initial.push(delayed);
-        found.extend(output_error::refine_from_any(training, &initial).ok());
-    }
+        found.extend(again(delayed));
+    };
+    // A system may answer sooner than was searched.
+    let model = &refined.estimated.model;
+    let sooner = model.nk.checked_sub(1).filter(|_| delays.iter().all(|nk| *nk >= model.nk));
+    let sooner = sooner.filter(|_| left::colour(training, model).is_some());
+    let earlier = sooner.and_then(|nk| {
+        let other = again(Polynomials { nk, ..model.clone() })?;
+        let both = compared(training, &[refined.clone(), other]);
+        is_better(both.last()?, both.first()?).then_some(nk)
+    });
+    Ok(RefinedDelays { refined, others, earlier })
 }
 
 /// The delays that may be chosen, rising.

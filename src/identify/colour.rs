@@ -63,6 +63,11 @@ impl Colour {
         colour
     }
 
+    /// Coefficients of C, 1 first: e times C(q) is white.
+    pub(super) fn filter(&self) -> &[f64] {
+        &self.c
+    }
+
     /// Sum of the correlations over all lags: the number of samples that say as much as one of white noise about a
     /// mean.
     pub(super) fn correlated_samples(&self) -> f64 {

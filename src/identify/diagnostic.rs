@@ -181,6 +181,27 @@ pub enum Diagnostic {
         /// How it could have come there.
         way: WayBack,
     },
+    /// What the refined model leaves follows the input: it has no σ.
+    Follows {
+        /// The model.
+        title: String,
+        /// χ² of that over its limit.
+        times: f64,
+    },
+    /// What the refined model leaves is in the input that comes after it: it has no σ.
+    InInput {
+        /// The model.
+        title: String,
+        /// χ² of that over its limit.
+        times: f64,
+    },
+    /// The output answers sooner than the shortest delay that was searched: the refined model has no σ.
+    Sooner {
+        /// The model.
+        title: String,
+        /// The delay that explains the data clearly better, samples (nk).
+        nk: usize,
+    },
     /// The refined model's order is too low: it has no σ.
     ModelError {
         /// The model.
@@ -288,7 +309,8 @@ fn likely_unit(period_s: f64) -> &'static str {
 
 impl fmt::Display for WayBack {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let fed_back = "noise of the output is fed back into it, which biases ARX; compare with";
+        let fed_back = "noise of the output is fed back into it, which biases ARX where its residuals are not white, \
+                        and the refined model where the noise at the output is not; compare with";
         match self {
             Self::Open => write!(
                 f,
@@ -391,6 +413,25 @@ impl fmt::Display for Diagnostic {
             Self::FedBack { outside: (n, of), way } => write!(
                 f,
                 "the input is correlated with earlier residuals ({n} of {of} lags outside the 99 % bound): {way}"
+            ),
+            Self::Follows { title, times } => write!(
+                f,
+                "{title}: what its simulation leaves still follows the input, {times:.1} times as much as noise does \
+                 at most: its order is too low, its delay not of whole samples, or the system not linear. It has no σ, \
+                 since its coefficients are off by more than noise explains; raise --reduce"
+            ),
+            Self::InInput { title, times } => write!(
+                f,
+                "{title}: what it leaves of the output is in the input that comes after, {times:.1} times as much as \
+                 chance explains: the input was computed from the output. It has no σ, since feedback biases it where \
+                 the noise of the output is not white, and ARX where its own residuals are not; use a record without \
+                 feedback"
+            ),
+            Self::Sooner { title, nk } => write!(
+                f,
+                "{title}: the output seems to come before the input: nk {nk}, less than was searched, explains the \
+                 data clearly better. It has no σ. Are input and output a row apart (--nk {nk} then takes them as they \
+                 are), or was the input computed from this output?"
             ),
             Self::ModelError { title, error } => write!(f, "{title}: {error}"),
             Self::AtEdge { what, value, option } => write!(

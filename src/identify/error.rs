@@ -91,7 +91,8 @@ pub enum IdentifyError {
     /// All models searched are unstable.
     #[error(
         "all {tried} models searched are unstable: take trends off with --detrend, fewer samples per second with \
-         --decimate, or fix the orders with --order to see one"
+         --decimate, or fix the orders with --order to see one. A system that integrates (its output keeps moving \
+         while the input is held) has no stable model: identify from the differences of the output from row to row"
     )]
     NoneStable {
         /// How many.

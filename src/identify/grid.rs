@@ -11,6 +11,12 @@ use crate::plural::plural;
 
 /// Largest deviation of an interval from whole periods, in periods.
 const TOLERANCE: f64 = 0.25;
+/// Distance of a sample from the line between the ends, in periods, beyond which the rate may have changed.
+const OFF_GRID: f64 = 0.5;
+/// Relative difference of the mean intervals before and after that is a change of the rate, and by how many σ of them
+/// it must be one: intervals of a program that waits scatter, and their sum wanders off any grid.
+const OTHER_RATE: f64 = 0.02;
+const OTHER_RATE_SD: f64 = 5.0;
 /// Most places of a grid, besides ten per sample: a camera that pauses for a day at 20 Hz has fewer.
 const MAX_PLACES: usize = 2_000_000;
 /// Periods by which a new one may be longer than the usual interval, or a multiple of it, and count as that.
@@ -106,6 +112,23 @@ pub(crate) enum GridError {
         /// All intervals.
         intervals: usize,
     },
+    /// The period is another one from some sample on.
+    #[error(
+        "{name}: samples come every {before_s:.6} s up to {at_s:.3} s, and every {after_s:.6} s after it: one period \
+         does not fit both; resample with --resample, or use the parts as two records"
+    )]
+    RateChanges {
+        /// The record.
+        name: String,
+        /// Where, seconds.
+        at_s: f64,
+        /// Mean interval before.
+        before_s: f64,
+        /// Mean interval after.
+        after_s: f64,
+        /// The usual interval.
+        period_s: f64,
+    },
 }
 
 /// Times on their grid.
@@ -159,8 +182,39 @@ impl Grid {
         let pairs = || time_s.iter().zip(&places).map(|(t, k)| (t - mean_t, *k as f64 - mean_k));
         let period_s = pairs().map(|(t, k)| t * k).sum::<f64>() / pairs().map(|(_, k)| k * k).sum::<f64>();
         let jitter_s = (pairs().map(|(t, k)| (t - period_s * k).powi(2)).sum::<f64>() / n).sqrt();
+        // Where the rate changes, times are farthest from the line between first and last; ends may be as far from the
+        // other one.
+        let (first_s, last_s) = (time_s[0], time_s[time_s.len() - 1]);
+        let mean_s = (last_s - first_s) / place as f64;
+        let from_line = time_s.iter().zip(&places).map(|(t, k)| (t - first_s - mean_s * *k as f64).abs());
+        let farthest = from_line.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+        let turn = farthest.filter(|(_, off_s)| *off_s > OFF_GRID * period_s).map(|(k, _)| k);
+        if let Some((before_s, after_s)) = turn.and_then(|k| other_rate(time_s, &places, k)) {
+            let at_s = turn.and_then(|k| time_s.get(k)).copied().unwrap_or_default();
+            return Err(GridError::RateChanges { name: name.to_owned(), at_s, before_s, after_s, period_s: usual });
+        }
         Ok(Self { period_s, lost: place + 1 - places.len(), places, jitter_s })
     }
+}
+
+/// The periods before and after sample `k`, if they differ clearly.
+fn other_rate(time_s: &[f64], places: &[usize], k: usize) -> Option<(f64, f64)> {
+    let ((before, from), (until, behind)) = (time_s.split_at_checked(k)?, places.split_at_checked(k)?);
+    // Sample k belongs to both.
+    let before: Vec<f64> = before.iter().chain(from.first()).copied().collect();
+    let until: Vec<usize> = until.iter().chain(behind.first()).copied().collect();
+    // Mean interval, and its variance.
+    let mean = |times: &[f64], places: &[usize]| {
+        let steps = || times.windows(2).zip(places.windows(2)).map(|(t, k)| (t[1] - t[0], (k[1] - k[0]) as f64));
+        let (sum_s, count) = steps().fold((0.0, 0.0), |(sum, count), (step, periods)| (sum + step, count + periods));
+        let mean_s: f64 = sum_s / count;
+        let squares: f64 = steps().map(|(step, periods)| (step - mean_s * periods).powi(2)).sum();
+        (count > 1.0).then_some((mean_s, squares / (count * (count - 1.0))))
+    };
+    let ((before_s, var), (after_s, var_after)) = (mean(&before, &until)?, mean(from, behind)?);
+    let by = (after_s - before_s).abs();
+    let differ = by > OTHER_RATE * before_s.min(after_s) && by > OTHER_RATE_SD * (var + var_after).sqrt();
+    differ.then_some((before_s, after_s))
 }
 
 /// The usual interval: the mean of those near the median, since whole milliseconds have a median of 17 ms at 60 Hz, by
@@ -381,6 +435,34 @@ mod tests {
         assert_eq!(back.to_string(), "a.csv: time goes from 1 s to 1 s at sample 2; it must rise");
         assert!(matches!(Grid::of("a", &[1.0]), Err(GridError::TooFew { .. })));
         assert!(matches!(Grid::of("a", &[0.0, f64::NAN]), Err(GridError::NotRising { .. })));
+    }
+
+    #[test]
+    fn a_rate_that_changes_midway_is_told_and_times_that_wander_are_not() {
+        let mut random = crate::testing::random::Random::new(5);
+        let mut times = |interval_s: &dyn Fn(usize) -> f64, scatter: f64| {
+            let mut t = 0.0;
+            let next = |k: usize| {
+                t += interval_s(k) * (1.0 + scatter * random.normal());
+                t
+            };
+            (0..1500).map(next).collect::<Vec<f64>>()
+        };
+        // 60 to 50 frames per second, and back; 25 to 24.
+        for (rates, at) in [([60.0, 50.0, 50.0], 900), ([60.0, 50.0, 60.0], 900), ([25.0, 24.0, 24.0], 900)] {
+            let rate = |k: usize| if k < 900 { rates[0] } else { rates[1 + usize::from(k >= 1200)] };
+            let time_s = times(&|k| 1.0 / rate(k), 0.02);
+            let found = Grid::of("a.csv", &time_s).unwrap_err();
+            let GridError::RateChanges { at_s, before_s, .. } = &found else { panic!("{found}") };
+            let near = [at, 1200].into_iter().any(|k: usize| (time_s[k] - at_s).abs() < 3.0 / rates[0]);
+            assert!(near && found.to_string().contains("use the parts as two records"), "{found}");
+            assert!(*at_s > time_s[1000] || (before_s * rates[0] - 1.0).abs() < 0.01, "{found}");
+        }
+        for _ in 0..50 {
+            let wandering = times(&|_| 0.02, 0.06);
+            let grid = Grid::of("a.csv", &wandering);
+            assert!(matches!(&grid, Ok(_) | Err(GridError::Uneven { .. })), "{grid:?}");
+        }
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use super::diagnostic::Diagnostic;
 use super::estimated::{Estimated, Refined};
 use super::fit::{FitError, Kind};
+use super::left::Left;
 use super::model::Orders;
 use super::model_error::ModelError;
 use super::modelled::{Modelled, Role};
@@ -46,8 +47,12 @@ pub struct Identification {
     pub refined: Result<Refined, String>,
     /// Other delays with which the refined model explains the data about as well, samples (nk), rising.
     pub other_delays: Vec<usize>,
+    /// A delay below those searched with which it explains the data clearly better: it then has no σ.
+    pub earlier_delay: Option<usize>,
     /// What the refined model's order cannot do, if that is more than noise: it then has no σ.
     pub model_error: Option<ModelError>,
+    /// Whether what the refined model leaves has to do with the input; `None` where that cannot be tested.
+    pub left: Option<Left>,
     /// The model of the lines of averaged periods, if the input was declared to repeat.
     pub periodic: Option<Periodic>,
     /// The models: full, then reduced, refined and periodic where they are.
@@ -72,6 +77,19 @@ impl Identification {
     /// The model to use: that of the averaged periods if there is one, otherwise the refined one, or the next best.
     pub fn leading(&self) -> Option<&Modelled> {
         Role::LEADING.into_iter().find_map(|role| self.model(role))
+    }
+
+    /// Whether a diagnostic is worth interrupting for. That the full model's orders are the last of the search, or its
+    /// residuals not white, comes with nearly every good record, and says nothing of a refined model that leaves noise
+    /// only.
+    pub fn matters(&self, diagnostic: &Diagnostic) -> bool {
+        let of_full = match diagnostic {
+            Diagnostic::AtEdge { what, .. } => *what != "nk",
+            Diagnostic::Coloured { .. } => true,
+            _ => false,
+        };
+        let has_sigma = self.model(Role::Refined).is_some_and(|refined| refined.covariance.is_some());
+        !(of_full && has_sigma && self.left.is_some())
     }
 
     /// The model of a role.

@@ -61,12 +61,14 @@ mod excited;
 pub(crate) mod fit;
 mod frozen;
 mod jump;
+mod left;
 pub(crate) mod modelled;
 mod nonlinear;
 mod outliers;
 pub(crate) mod residuals;
 pub(crate) mod spectrum;
 pub(crate) mod uncertainty;
+mod whitened;
 
 pub(crate) mod applied;
 pub(crate) mod chain;

@@ -14,6 +14,11 @@ pub(super) trait Delayed {
     fn deviance(&self) -> f64;
 }
 
+/// Whether a model explains the data better than another, by more than noise explains.
+pub(super) fn is_better<T: Delayed>(one: &T, other: &T) -> bool {
+    other.deviance() - one.deviance() > BY_NOISE
+}
+
 /// Those that explain the data about as well as the best.
 pub(super) fn as_well<T: Delayed>(found: &[T]) -> impl Iterator<Item = &T> {
     let least = found.iter().map(T::deviance).fold(f64::INFINITY, f64::min);

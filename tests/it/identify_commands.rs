@@ -113,4 +113,21 @@ fn a_log_that_is_slower_than_the_frames_is_told() {
     assert!(!quick.contains("currents come every"), "{quick}");
     let quick = told(folder.path(), &SINGLE);
     assert!(!quick.contains("again and again"), "{quick}");
+    // A camera that gives every fourth output, which the log repeats.
+    let table = fs::read_to_string(folder.path().join("single.csv")).unwrap();
+    let mut kept = String::new();
+    let held = table.lines().enumerate().map(|(k, line)| {
+        let (rest, y) = line.rsplit_once(',').unwrap();
+        if k < 2 || k % 4 == 1 {
+            y.clone_into(&mut kept);
+        }
+        format!("{rest},{kept}\n")
+    });
+    let held: String = held.collect();
+    fs::write(folder.path().join("single.csv"), held).unwrap();
+    let slow = told(folder.path(), &SINGLE);
+    assert!(
+        slow.contains("the output keeps each value for 4 rows, again and again: it seems to be measured"),
+        "{slow}"
+    );
 }

@@ -108,6 +108,25 @@ fn both_angles_follow_all_coils_and_the_linearised_rod_agrees() {
             assert!((found / expected - 1.0).abs() < 0.15, "{coil}, {f} Hz: {found} °/A, the catheter {expected}");
         }
     }
+    // A record that was fitted cannot judge, nor count twice; and these currents are no amperes.
+    let currents = std::fs::read_to_string(folder.path().join("fitted_currents.csv")).unwrap();
+    let head = currents.lines().next().unwrap_or_default();
+    let in_ma = currents.lines().skip(1).map(|line| {
+        let (t, values) = line.split_once(',').unwrap();
+        let values: Vec<String> = values.split(',').map(|a| (a.parse::<f64>().unwrap() * 1e3).to_string()).collect();
+        format!("{t},{}\n", values.join(","))
+    });
+    std::fs::write(folder.path().join("ma.csv"), format!("{head}\n{}", in_ma.collect::<String>())).unwrap();
+    let again = |records: &[&str], tables: &str| {
+        let args = [&["identify"], records, &["--planes", "--order", "4", "--currents", tables, "-o", "again"]];
+        let output = catoptra(folder.path(), &args.concat());
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, told) = again(&["fitted.csv", "--validate", "fitted.csv"], "ma.csv,ma.csv");
+    assert!(code == Some(0) && told.contains("is used both to fit and to validate"), "{told}");
+    assert!(told.contains("ma.csv: holds currents of up to ") && told.contains("are these mA?"), "{told}");
+    let (code, told) = again(&["fitted.csv", "fitted.csv"], "ma.csv,ma.csv");
+    assert!(code == Some(2) && told.contains("which would count twice"), "{told}");
     let page = read("report.html");
     assert!(page.contains("plot-response-theta_y") && page.contains("plot-0-theta_x") && page.contains("plot-hankel"));
 }

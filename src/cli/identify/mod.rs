@@ -2,6 +2,7 @@
 
 mod apply;
 mod args;
+mod currents;
 mod planes;
 mod reading;
 mod records;
@@ -42,7 +43,7 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
     let done =
         identify_with_progress(&data, &settings, &|what| stages.begin(what)).map_err(|error| failure(&data, error))?;
     stages.begin("writing the results");
-    for diagnostic in &done.diagnostics {
+    for diagnostic in done.diagnostics.iter().filter(|diagnostic| done.matters(diagnostic)) {
         tracing::warn!("{diagnostic}");
     }
     // 3. files

@@ -1,10 +1,12 @@
 //! `catoptra identify --planes`: from all coils to both angles.
 
 use super::args::{Args, DelayArg};
+use super::currents;
 use super::records::{self, Driven};
 use crate::cli::outcome::Outcome;
 use crate::cli::{Exit, Failure, interrupt, output};
 use crate::identify::planes::{Motion, OUTPUTS, Planes, PlanesError, Settings, identify, moving};
+use crate::identify::recorded::Observed;
 use crate::plural::plural;
 use crate::report::planes as page;
 use std::fmt::Write as _;
@@ -83,9 +85,22 @@ fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
             return Err(Failure::usage(format!("{source}: has the coils {these}, the first record has {first}")));
         }
         let all: Vec<usize> = (0..coils.len()).collect();
-        motions.push(Motion::of(&recording, (&source, &currents), &all, delay_s).map_err(failure)?);
+        let motion = Motion::of(&recording, (&source, &currents), &all, delay_s).map_err(failure)?;
+        let observed = Observed::of_angle(&recording, |frame| frame.tangent.map(|t| t.x)).map_err(Failure::usage)?;
+        let held = all.iter().map(|coil| observed.commands(&source, &currents, *coil));
+        let held = held.collect::<Result<Vec<_>, _>>().map_err(Failure::usage)?;
+        let end_s = observed.time_s.last().copied().unwrap_or_default();
+        currents::warn_of_values(&source, &held, end_s, false);
+        if let Some(one) = held.first() {
+            currents::warn_of_slow_log(&source, one, motion.period_s);
+        }
+        motions.push(motion);
         names.get_or_insert(coils);
     }
+    let fitted = args.records.len();
+    let numbered: Vec<(usize, &Motion)> = motions.iter().enumerate().collect();
+    let is_copy = |(_, one): &(usize, &Motion), (_, other): &(usize, &Motion)| one.is_copy_of(other);
+    records::check_for_copies(&numbered, is_copy, |(k, motion)| (&motion.name, *k < fitted))?;
     records::one_period(motions.iter().map(|motion| (motion.name.as_str(), motion.period_s)), "")?;
     Ok((names.unwrap_or_default(), motions))
 }

@@ -2,6 +2,7 @@
 
 use super::super::provenance;
 use super::args::{Args, DelayArg, Range};
+use super::currents;
 use super::records::{self, Driven};
 use crate::cli::Failure;
 use crate::identify::data::Data;
@@ -9,7 +10,7 @@ use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay, Drift, Timing};
 use crate::identify::fit::InitialState;
 use crate::identify::grid::{Grid, GridError, Series, coarser, cut, resample};
-use crate::identify::hold::{Held, LongHold, stairs};
+use crate::identify::hold::{Held, stairs};
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
 use crate::identify::provenance::{Provenance, RecordSummary};
@@ -23,12 +24,14 @@ use std::path::Path;
 const DECIMATION_NEEDS: usize = 11;
 /// Usual names of a column of times.
 const TIMES: [&str; 4] = ["t_s", "time_s", "t", "time"];
-/// Current beyond which a unit is more likely to be wrong than the current right.
-const MOST_AMPERES: f64 = 50.0;
 /// Angle below which all of a record is hardly a deflection in degrees.
 const LEAST_DEGREES: f64 = 1.0;
-/// Frames between two rows of currents from which on their log is slow.
-const SLOW_LOG: f64 = 1.5;
+/// What follows from an input, and from an output, that changes less often than the rows.
+const SLOW_INPUT: &str = "if it really changes so, all is well; if it was logged more slowly than it changed, what \
+                          happened in between is not known, and H(s) is wrong";
+const SLOW_OUTPUT: &str = "it seems to be measured more slowly than the table has rows, and half the time that a value \
+                           is kept would count as a delay of the system. Leave the cells empty where nothing was \
+                           measured";
 /// The input of a log without Eq. 6.
 const CURRENT: &str = "current";
 
@@ -64,7 +67,8 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     let periods = all.iter().map(|read| (read.summary.name.as_str(), read.summary.period_s));
     records::one_period(periods, " (--resample --period gives them one)")?;
     warn_of_shared_ranges(args);
-    check_for_copies(&all)?;
+    let is_copy = |one: &Read, other: &Read| one.record.is_copy_of(&other.record);
+    records::check_for_copies(&all, is_copy, |read| (&read.summary.name, read.summary.training))?;
     let mut period_s = all.first().map_or(0.0, |read| read.summary.period_s);
     let mut data = Data::default();
     let mut summaries = Vec::new();
@@ -110,28 +114,6 @@ fn warn_of_shared_ranges(args: &Args) {
             tracing::warn!("--train and --test share samples {from} to {}: fitted data cannot judge the model", to - 1);
         }
     }
-}
-
-/// No record may count twice, and none that is fitted can judge.
-fn check_for_copies(all: &[Read]) -> Result<(), Failure> {
-    let pairs = all.iter().enumerate().flat_map(|(k, one)| all[..k].iter().map(move |before| (before, one)));
-    for (before, one) in pairs.filter(|(before, one)| before.record.is_copy_of(&one.record)) {
-        let (name, other) = (&one.summary.name, &before.summary.name);
-        match (before.summary.training, one.summary.training) {
-            (true, true) => {
-                return Err(Failure::usage(format!(
-                    "{name}: holds the samples of {other}, which would count twice: leave one out"
-                )));
-            }
-            (true, false) => {
-                tracing::warn!(
-                    "{name} is used both to fit and to validate; a model cannot be judged by the data it was fitted to"
-                );
-            }
-            _ => {}
-        }
-    }
-    Ok(())
 }
 
 /// Why nothing is left of a record, or of a part of one.
@@ -196,7 +178,8 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
             return Err(Failure::usage("the time from row to row is not known: give --period S, or --time COLUMN"));
         }
     };
-    warn_of_stairs(&name, &drive);
+    warn_of_stairs(&name, "input", &drive, SLOW_INPUT);
+    warn_of_stairs(&name, "output", &output, SLOW_OUTPUT);
     let missed = output.iter().filter(|y| y.is_none()).count();
     let series = Series { name: name.clone(), time_s, drive, output, ..Series::default() };
     let (record, grid, bridged) = on_grid(args, &series)?;
@@ -230,30 +213,16 @@ fn warn_of_another_time(file: &Path, period_s: f64) {
     }
 }
 
-/// Warns if an input looks like a log that is slower than the table.
-fn warn_of_stairs(name: &str, input: &[Option<f64>]) {
-    let values: Vec<f64> = input.iter().flatten().copied().collect();
+/// Warns if a signal looks like a log that is slower than the table. `what`: its name; `otherwise`: what follows.
+fn warn_of_stairs(name: &str, what: &str, signal: &[Option<f64>], otherwise: &str) {
+    let values: Vec<f64> = signal.iter().flatten().copied().collect();
     let slopes: Vec<f64> = values.iter().zip(values.iter().skip(1)).map(|(before, after)| after - before).collect();
-    let (rows, what) = match (stairs(&values), stairs(&slopes)) {
+    let (rows, does) = match (stairs(&values), stairs(&slopes)) {
         (Some(rows), _) => (rows, "keeps each value"),
         (None, Some(rows)) => (rows, "is a straight line"),
         (None, None) => return,
     };
-    tracing::warn!(
-        "{name}: the input {what} for {rows} rows, again and again: if it really changes so, all is well; if it was \
-         logged more slowly than it changed, what happened in between is not known, and H(s) is wrong"
-    );
-}
-
-/// Warns if the commands are fewer than the frames and look like a log.
-fn warn_of_slow_log(source: &str, held: &Held, period_s: f64) {
-    if let Some(every_s) = held.logged_every_s().filter(|every_s| *every_s > SLOW_LOG * period_s) {
-        tracing::warn!(
-            "{source}: currents come every {every_s:.3} s and frames every {period_s:.3} s: each current is taken as \
-             held until the next. If the amplifier was told more often than this table, what happened in between is \
-             not known, and H(s) is wrong"
-        );
-    }
+    tracing::warn!("{name}: the {what} {does} for {rows} rows, again and again: {otherwise}");
 }
 
 fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failure> {
@@ -298,21 +267,12 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     let Driven { recording, source, own_clock, currents, .. } = Driven::read(file, table)?;
     let mut observed = Observed::of(&recording).map_err(Failure::usage)?;
     let held = observed.commands(&source, &currents, args.coil).map_err(Failure::usage)?;
-    if let Some(LongHold { from_s, to_s, value, usual_s }) = observed.time_s.last().and_then(|t| held.longest_hold(*t))
-    {
-        tracing::warn!(
-            "{source}: {value} A is held from {from_s:.3} s to {to_s:.3} s after the first frame, while commands \
-             usually come every {usual_s:.3} s: is the table complete?"
-        );
-    }
-    if let Some(largest) = held.largest().filter(|a| *a > MOST_AMPERES) {
-        let taken = if plant.is_some() { "Eq. 6 needs amperes" } else { "they are taken as amperes" };
-        tracing::warn!("{source}: holds currents of up to {largest:.0} A: {taken}; are these mA?");
-    }
+    let end_s = observed.time_s.last().copied().unwrap_or_default();
+    currents::warn_of_values(&source, std::slice::from_ref(&held), end_s, plant.is_some());
     match observed.grid() {
-        Ok(grid) => warn_of_slow_log(&source, &held, grid.period_s),
-        Err(GridError::Uneven { period_s, .. }) if args.resample => {
-            warn_of_slow_log(&source, &held, period_s);
+        Ok(grid) => currents::warn_of_slow_log(&source, &held, grid.period_s),
+        Err(GridError::Uneven { period_s, .. } | GridError::RateChanges { period_s, .. }) if args.resample => {
+            currents::warn_of_slow_log(&source, &held, period_s);
             // Between interpolated angles a delay would be off by milliseconds, many times its σ.
             tracing::warn!(
                 "{name}: frames are not evenly spaced, from which neither the delay between commands and output, nor a \
@@ -357,8 +317,8 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     let told = apparent.as_ref().filter(|delay| delay.others_s.is_empty());
     if let Some(delay) = told.filter(|delay| delay.is_before(delay_s)) {
         tracing::warn!(
-            "{name}: θ seems to move {:.1} ± {:.1} ms before the commands: with wrong times H(s) is wrong; --delay auto \
-             corrects them",
+            "{name}: θ seems to move {:.1} ± {:.1} ms before the commands: with wrong times H(s) is wrong; \
+             --delay auto corrects them",
             (delay_s - delay.delay_s) * 1e3,
             delay.sd_s * 1e3
         );

@@ -24,7 +24,6 @@ pub(crate) use system::System;
 
 use super::data::Segment;
 use super::diagnostic::Diagnostic;
-use super::hold::Held;
 use super::recorded::{Observed, RecordedError};
 use super::spectrum::spectrum;
 use crate::series::{Current, Recording, SeriesError};
@@ -102,7 +101,7 @@ pub(crate) struct Motion {
     pub(crate) period_s: f64,
     /// Camera time of the first sample, seconds of the record.
     pub(crate) start_s: f64,
-    /// A row a sample: mean of each coil's current from it to the next, amperes.
+    /// A row a sample: mean of each coil's current from its own time to that of the next, amperes.
     pub(crate) input: DMatrix<f64>,
     /// A row a sample: both angles, radians; NaN where they were not observed.
     pub(crate) output: DMatrix<f64>,
@@ -130,26 +129,37 @@ impl Motion {
         let held = coils.iter().map(|coil| Ok(x.commands(source, currents, *coil)?.zero_before()));
         let held = held.collect::<Result<Vec<_>, PlanesError>>()?;
         let Some(one) = held.first() else { return Err(PlanesError::Still { name }) };
-        let series = [x.series(one, None, delay_s)?, y.series(one, None, delay_s)?];
-        let grid = super::grid::Grid::of(&name, &series[0].time_s)?;
+        let across = y.series(one, None, delay_s)?.output;
+        let moved = held.iter().map(|held| x.series(held, None, delay_s)).collect::<Result<Vec<_>, _>>()?;
+        let Some(first) = moved.first() else { return Err(PlanesError::Still { name }) };
+        let grid = super::grid::Grid::of(&name, &first.time_s)?;
         let samples = grid.places.last().map_or(0, |last| last + 1);
-        let start_s = series[0].time_s.first().copied().unwrap_or(0.0);
+        let start_s = first.time_s.first().copied().unwrap_or(0.0);
         let mut output = DMatrix::from_element(samples, OUTPUTS.len(), f64::NAN);
-        for (column, own) in series.iter().enumerate() {
-            for (place, value) in grid.places.iter().zip(&own.output) {
+        for (column, own) in [&first.output, &across].into_iter().enumerate() {
+            for (place, value) in grid.places.iter().zip(own) {
                 output[(*place, column)] = value.unwrap_or(f64::NAN);
             }
         }
         let at = |place: usize| start_s + place as f64 * grid.period_s;
-        let drive = |place: usize| {
-            let of = |held: &Held| held.mean(at(place) - delay_s, at(place + 1) - delay_s);
-            held.iter().map(of).collect::<Option<Vec<_>>>()
-        };
+        let mut drives = vec![None; samples];
+        for (k, place) in grid.places.iter().enumerate() {
+            drives[*place] = moved.iter().map(|own| own.drive.get(k).copied().flatten()).collect::<Option<Vec<_>>>();
+        }
+        // A place without a frame has the current of the one before: lost frames have been given theirs.
+        let drive = |place: usize| drives.iter().take(place + 1).rev().find_map(Clone::clone);
         // Once commanded, a coil's current is known.
         let unknown = (0..samples).take_while(|place| drive(*place).is_none()).count();
         let input: Vec<f64> = (unknown..samples).filter_map(drive).flatten().collect();
         let input = DMatrix::from_row_slice(samples - unknown, held.len(), &input);
         Ok(Self { name, period_s: grid.period_s, start_s: at(unknown), input, output: output.remove_rows(0, unknown) })
+    }
+
+    /// Whether it has the samples of another, whatever their names.
+    pub(crate) fn is_copy_of(&self, other: &Self) -> bool {
+        // What was not observed is NaN, which equals nothing.
+        let bits = |output: &DMatrix<f64>| output.map(f64::to_bits);
+        self.input == other.input && bits(&self.output) == bits(&other.output)
     }
 
     /// Less these means.
@@ -420,7 +430,10 @@ fn percent(record: &Motion, simulated: &DMatrix<f64>) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::series::Frame;
     use crate::testing::random::Random;
+    use nalgebra::Vector3;
+    use std::path::PathBuf;
 
     /// Two coupled oscillators, two inputs: the truth of these tests.
     fn truth() -> System {
@@ -481,6 +494,49 @@ mod tests {
             let off = (near - exact).iter().map(|v| v.norm()).fold(0.0, f64::max);
             assert!(off < 0.03 * size, "{omega}: {off} of {size}");
         }
+    }
+
+    /// A first frame that comes late moves its own interval, not all of them.
+    #[test]
+    fn currents_are_those_between_the_frames_own_times() {
+        let frame = |k: i64| Frame {
+            seq: k.unsigned_abs(),
+            stamp_ns: 10_000_000 * k + if k == 0 { 2_000_000 } else { 0 },
+            host_ns: None,
+            gap: 0,
+            theta_rad: None,
+            theta_sd_rad: None,
+            theta_status: None,
+            places: Vec::new(),
+            tangent: Some(Vector3::new(0.1, 0.0, 1.0)),
+            tangent_sd_rad: None,
+            tick: None,
+        };
+        let recording = Recording {
+            path: PathBuf::from("run.csv"),
+            clock: None,
+            reference: None,
+            markers: Vec::new(),
+            // Frame 20 was lost.
+            frames: (0..50).filter(|k| *k != 20).map(frame).collect(),
+            currents: Vec::new(),
+            cut: None,
+            vetoed: 0,
+        };
+        let commands: Vec<Current> = (0..500)
+            .map(|ms: i64| Current { host_ns: None, stamp_ns: Some(1_000_000 * ms), values_a: vec![ms as f64, 1.0] })
+            .collect();
+        let motion = Motion::of(&recording, ("c", &commands), &[0, 1], 0.0).unwrap();
+        assert!(motion.input.nrows() == 50 && motion.input.column(1).iter().all(|a| (a - 1.0).abs() < 1e-9));
+        // The first from 2 to 10 ms, that before the lost frame and that from its place on, then as all.
+        for (place, mean) in [(0, 5.5), (1, 14.5), (19, 194.5), (20, 204.5), (21, 214.5), (40, 404.5)] {
+            assert!((motion.input[(place, 0)] - mean).abs() < 1e-6, "{place}: {}", motion.input[(place, 0)]);
+        }
+        assert!(motion.output[(20, 0)].is_nan() && motion.output[(21, 0)].is_finite());
+        assert!(motion.is_copy_of(&motion.clone()));
+        let mut other = motion.clone();
+        other.output[(3, 1)] += 1e-9;
+        assert!(!motion.is_copy_of(&other));
     }
 
     /// Whatever the factor, and with the rounding of a table of currents.

@@ -1,0 +1,35 @@
+//! Warnings about coil currents that are hardly those that the coils had.
+
+use crate::identify::hold::{Held, LongHold};
+
+/// Current beyond which a unit is more likely to be wrong than the current right.
+const MOST_AMPERES: f64 = 50.0;
+/// Frames between two rows of currents from which on their log is slow.
+const SLOW_LOG: f64 = 1.5;
+
+/// Warns of a long hold and of values that may have another unit. `held`: the coils of one source, whose rows have the
+/// same times; `end_s`: the last frame; `eq_6`: they become torques.
+pub(super) fn warn_of_values(source: &str, held: &[Held], end_s: f64, eq_6: bool) {
+    if let Some(LongHold { from_s, to_s, value, usual_s }) = held.iter().find_map(|held| held.longest_hold(end_s)) {
+        tracing::warn!(
+            "{source}: {value} A is held from {from_s:.3} s to {to_s:.3} s after the first frame, while commands \
+             usually come every {usual_s:.3} s: is the table complete?"
+        );
+    }
+    let largest = held.iter().filter_map(Held::largest).max_by(f64::total_cmp);
+    if let Some(largest) = largest.filter(|a| *a > MOST_AMPERES) {
+        let taken = if eq_6 { "Eq. 6 needs amperes" } else { "they are taken as amperes" };
+        tracing::warn!("{source}: holds currents of up to {largest:.0} A: {taken}; are these mA?");
+    }
+}
+
+/// Warns if the commands are fewer than the frames and look like a log.
+pub(super) fn warn_of_slow_log(source: &str, held: &Held, period_s: f64) {
+    if let Some(every_s) = held.logged_every_s().filter(|every_s| *every_s > SLOW_LOG * period_s) {
+        tracing::warn!(
+            "{source}: currents come every {every_s:.3} s and frames every {period_s:.3} s: each current is taken as \
+             held until the next. If the amplifier was told more often than this table, what happened in between is \
+             not known, and H(s) is wrong"
+        );
+    }
+}

@@ -1,0 +1,250 @@
+//! Whether what the refined model leaves has to do with its input: tests that need no other model.
+//!
+//! In: the data, the refined model. Out: two χ² of what its residual follows: the input before, through the model's own
+//! poles, as a model of higher order would ([`Left::past`]); and the input after, which no system can know
+//! ([`Left::ahead`]): it was computed from the output.
+//!
+//! Cannot tell: a response to the input of the same sample from an input computed from that sample. What is not linear
+//! follows the input, too.
+
+use super::colour::Colour;
+use super::data::Segment;
+use super::model::{Polynomials, all_pole};
+use super::output_error::{Derivatives, derivatives_and_residual, linearised};
+use super::whitened::Whitened;
+use nalgebra::DMatrix;
+
+/// Further lags of the input through the poles, and further lags of the output.
+const INPUTS: usize = 5;
+const OUTPUTS: usize = 2;
+/// Lags of the input after the output.
+const AHEAD: usize = 5;
+/// What noise explains in all but one of 10⁵ records, of 7 and 5 degrees of freedom.
+const LIMIT_PAST: f64 = 35.3;
+const LIMIT_AHEAD: f64 = 30.9;
+/// Less than this of the output's energy is told by no one: rounding, or a record without noise.
+const LEAST: f64 = 1e-6;
+
+/// What is left.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Left {
+    /// χ² of the input before, over its limit.
+    pub past: f64,
+    /// The same of the input after, if that says anything: it does not where the output is known to be in the input.
+    pub ahead: f64,
+}
+
+impl Left {
+    /// `None` without noise, and where there are too few samples. `shortest`: the least delay that may be.
+    pub(super) fn of(segments: &[Segment], model: &Polynomials, shortest: usize) -> Option<Self> {
+        let colour = colour(segments, model)?;
+        let of_model = model.parameters().len();
+        // What is before a delay that was chosen.
+        let earlier = model.nk.saturating_sub(1).max(shortest);
+        let sooner = usize::from(earlier < model.nk);
+        let further: Vec<DMatrix<f64>> = segments
+            .iter()
+            .map(|segment| {
+                let by_input = all_pole(&model.a, segment.input.clone());
+                let by_output = all_pole(&model.a, model.simulate(&segment.input));
+                let at = |signal: &[f64], t: usize, lag: usize| {
+                    t.checked_sub(lag).and_then(|t| signal.get(t)).copied().unwrap_or_default()
+                };
+                let inputs = INPUTS - sooner;
+                let of = |t: usize, column: usize| match column {
+                    k if k < inputs => at(&by_input, t, model.nk + model.nb() + k),
+                    k if k < INPUTS => at(&by_input, t, earlier),
+                    k if k < INPUTS + OUTPUTS => at(&by_output, t, model.na() + 1 + k - INPUTS),
+                    // The input now, then those after; at the end the last one is held.
+                    k => {
+                        let t = (t + k - INPUTS - OUTPUTS).min(segment.len().saturating_sub(1));
+                        segment.input.get(t).copied().unwrap_or_default()
+                    }
+                };
+                DMatrix::from_fn(segment.len(), INPUTS + OUTPUTS + 1 + AHEAD, of)
+            })
+            .collect();
+        let whitened = Whitened::of(segments, model, &further, &colour)?;
+        let freedom = whitened.freedom();
+        let past = of_model..of_model + INPUTS + OUTPUTS;
+        let ahead = past.end + 1..past.end + 1 + AHEAD;
+        let over = |columns: std::ops::Range<usize>, limit: f64| {
+            let count = columns.len() as f64;
+            // The limit of F for few samples, by its first term.
+            whitened.explained_by(columns) / (limit * (1.0 + (limit - count + 2.0) / (2.0 * freedom)))
+        };
+        (freedom > 50.0).then(|| Self { past: over(past, LIMIT_PAST), ahead: over(ahead, LIMIT_AHEAD) })
+    }
+
+    /// Whether it follows the input before.
+    pub(super) fn follows(&self) -> bool {
+        self.past > 1.0
+    }
+
+    /// Whether it is in the input after.
+    pub(super) fn is_fed_back(&self) -> bool {
+        self.ahead > 1.0
+    }
+}
+
+/// The colour of what a model leaves in simulation; `None` where that is next to nothing.
+pub(super) fn colour(segments: &[Segment], model: &Polynomials) -> Option<Colour> {
+    let rows = linearised(segments, model, Derivatives::None);
+    let residuals: Vec<Vec<f64>> =
+        segments.iter().zip(rows).map(|(segment, rows)| derivatives_and_residual(segment, rows).1).collect();
+    let squares = |values: &mut dyn Iterator<Item = f64>| values.filter(|v| !v.is_nan()).map(|v| v * v).sum::<f64>();
+    let left = squares(&mut residuals.iter().flatten().copied());
+    let all = squares(&mut segments.iter().flat_map(|segment| &segment.output).copied());
+    (left > LEAST * all).then(|| Colour::of(&residuals))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::chain::identify;
+    use super::super::data::{Data, Record};
+    use super::super::diagnostic::Diagnostic;
+    use super::super::identification::Identification;
+    use super::super::model::Orders;
+    use super::super::modelled::Role;
+    use super::super::output_error::refine;
+    use super::super::settings::Choice;
+    use super::super::tests::{noise, settings};
+    use super::*;
+
+    /// Damped by 0.4 at 1 Hz, sampled at 50 Hz.
+    fn second_order() -> Polynomials {
+        Polynomials { a: vec![1.0, -1.890_75, 0.904_38], b: vec![0.006_93, 0.006_7], nk: 1 }
+    }
+
+    /// Steps up or down, each value held for `hold` samples.
+    fn steps(seed: u64, samples: usize, hold: usize) -> Vec<f64> {
+        noise(seed + 7000, samples / hold + 1).iter().flat_map(|e| vec![e.signum(); hold]).take(samples).collect()
+    }
+
+    fn record(seed: u64, truth: &Polynomials, rho: f64, sd: f64) -> Segment {
+        let input = steps(seed, 1500, 5);
+        let disturbance = all_pole(&[1.0, -rho], noise(seed, input.len()));
+        let output = truth.simulate(&input).iter().zip(disturbance).map(|(y, e)| y + sd * e).collect();
+        Segment { input, output, from_rest: true, ..Segment::default() }
+    }
+
+    fn left(segment: Segment) -> Left {
+        let segments = [segment];
+        let model = refine(&segments, &second_order()).unwrap().estimated.model;
+        Left::of(&segments, &model, 1).unwrap()
+    }
+
+    fn identified(segment: Segment) -> Identification {
+        let training = vec![Record { name: "record".to_owned(), segments: vec![segment] }];
+        let data = Data { training, period_s: 0.02, ..Data::default() };
+        let candidates = (1..=4).flat_map(|n| (1..=3).map(move |nk| Orders { na: n, nb: n, nk })).collect();
+        identify(&data, &settings(Choice::Search { candidates, criterion: None })).unwrap()
+    }
+
+    fn has_sigma(found: &Identification) -> bool {
+        found.model(Role::Refined).is_some_and(|model| model.covariance.is_some())
+    }
+
+    #[test]
+    fn noise_of_any_colour_follows_no_input() {
+        for (rho, sd) in [(0.0, 0.05), (0.9, 0.05), (0.98, 0.02), (1.0, 0.01)] {
+            let found: Vec<Left> = (0..100).map(|seed| left(record(seed, &second_order(), rho, sd))).collect();
+            assert!(found.iter().all(|left| !left.follows() && !left.is_fed_back()), "{rho}: {found:?}");
+            // Mean χ² of 7 and 5 degrees of freedom, over the limits.
+            let mean = |of: fn(&Left) -> f64| found.iter().map(of).sum::<f64>() / 100.0;
+            let (past, ahead) = (mean(|l| l.past) * LIMIT_PAST / 7.0, mean(|l| l.ahead) * LIMIT_AHEAD / 5.0);
+            assert!((0.6..1.5).contains(&past) && (0.6..1.5).contains(&ahead), "{rho}: {past} {ahead}");
+        }
+    }
+
+    /// Loud noise while the input is large, and little of both later.
+    #[test]
+    fn noise_that_varies_with_the_input_follows_none() {
+        for seed in 0..50 {
+            let mut one = record(seed, &second_order(), 0.0, 0.0);
+            let loud = |t: usize| if t < 300 { 1.0 } else { 0.05 };
+            one.input.iter_mut().enumerate().for_each(|(t, u)| *u *= loud(t));
+            let clean = second_order().simulate(&one.input);
+            let noisy = clean.iter().zip(noise(seed, 1500)).enumerate().map(|(t, (y, e))| y + 0.2 * loud(t) * e);
+            one.output = noisy.collect();
+            let found = left(one);
+            assert!(!found.follows() && !found.is_fed_back(), "{seed}: {found:?}");
+        }
+    }
+
+    /// With holes, and a state that it began with.
+    #[test]
+    fn parts_of_a_record_are_tested_too() {
+        for seed in 0..30 {
+            let mut whole = record(seed, &second_order(), 0.8, 0.05);
+            whole.output.iter_mut().skip(17).step_by(40).for_each(|y| *y = f64::NAN);
+            let parts = [whole.part(100, 600, 0.02), whole.part(620, 1500, 0.02)];
+            let model = refine(&parts, &second_order()).unwrap().estimated.model;
+            let found = Left::of(&parts, &model, 1).unwrap();
+            assert!(!found.follows() && !found.is_fed_back(), "{seed}: {found:?}");
+        }
+    }
+
+    /// A third pole, of which the full model knows as little as the refined one: it leaves hardly more.
+    #[test]
+    fn a_pole_that_the_model_lacks_is_told_and_there_is_no_sigma() {
+        // (1 − 0.6 q⁻¹) (1 − 1.89 q⁻¹ + 0.904 q⁻²), with the same gain.
+        let (p, two) = (0.606_53, second_order());
+        let a = vec![1.0, two.a[1] - p, two.a[2] - p * two.a[1], -p * two.a[2]];
+        let third = Polynomials { a, b: two.b.iter().map(|b| b * (1.0 - p)).collect(), nk: 1 };
+        for seed in 0..5 {
+            let found = identified(record(seed, &third, 0.0, 0.05));
+            assert!(!has_sigma(&found), "{seed}: {:?}", found.left);
+            let told = found
+                .diagnostics
+                .iter()
+                .any(|d| matches!(d, Diagnostic::Follows { .. } | Diagnostic::ModelError { .. }));
+            assert!(told, "{:?}", found.diagnostics);
+        }
+    }
+
+    #[test]
+    fn an_output_that_comes_a_row_early_is_told_and_one_in_time_is_not() {
+        for seed in 0..5 {
+            let in_time = record(seed, &second_order(), 0.0, 0.02);
+            let found = identified(in_time.clone());
+            assert!(found.earlier_delay.is_none() && has_sigma(&found), "{seed}: {:?}", found.left);
+            let mut early = in_time;
+            early.output.remove(0);
+            early.input.pop();
+            let found = identified(early);
+            assert!(found.earlier_delay == Some(0) && !has_sigma(&found), "{seed}: {:?}", found.left);
+            assert!(found.diagnostics.iter().any(|d| d.to_string().contains("seems to come before the input: nk 0")));
+        }
+    }
+
+    /// A controller that sees the output a sample late, and a disturbance that lasts.
+    #[test]
+    fn an_input_that_was_computed_from_the_output_is_told() {
+        for seed in 0..5 {
+            let (model, target) = (second_order(), steps(seed, 3000, 25));
+            let disturbance = all_pole(&[1.0, -0.95], noise(seed, 3000));
+            let (mut input, mut clean, mut output) = (Vec::new(), Vec::<f64>::new(), Vec::<f64>::new());
+            for t in 0..3000_usize {
+                let at = |signal: &[f64], lag: usize| t.checked_sub(lag).map_or(0.0, |k| signal[k]);
+                let moved = model.b[0] * at(&input, 1) + model.b[1] * at(&input, 2);
+                let now = moved - model.a[1] * at(&clean, 1) - model.a[2] * at(&clean, 2);
+                input.push(1.5 * (target[t] - at(&output, 1)));
+                clean.push(now);
+                output.push(now + 0.1 * disturbance[t]);
+            }
+            let found = identified(Segment { input, output, from_rest: true, ..Segment::default() });
+            assert!(!has_sigma(&found), "{seed}: {:?}", found.left);
+            assert!(found.diagnostics.iter().any(|d| matches!(d, Diagnostic::InInput { .. })), "{:?}", found.left);
+        }
+    }
+
+    /// Noise that lasts made a false delay look better by more than white noise could.
+    #[test]
+    fn the_delay_is_right_in_noise_that_lasts() {
+        for seed in 0..30 {
+            let found = identified(record(seed, &second_order(), 0.98, 0.02));
+            assert_eq!(found.refined.as_ref().unwrap().estimated.model.nk, 1, "{seed}");
+        }
+    }
+}
