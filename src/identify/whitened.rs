@@ -72,7 +72,7 @@ impl Whitened {
 
     /// −2 ln(likelihood) of the best model nearby, up to a constant.
     pub(super) fn deviance(&self) -> f64 {
-        let left = self.triangle.diagonal().iter().last().map_or(f64::NAN, |left| left * left);
+        let left = self.triangle.diagonal().iter().next_back().map_or(f64::NAN, |left| left * left);
         self.rows as f64 / self.alike * left.ln()
     }
 
@@ -104,7 +104,7 @@ fn scatter(triangle: &DMatrix<f64>, rows: &[DMatrix<f64>]) -> Option<DMatrix<f64
     for part in rows {
         let orthogonal = part * &inverse;
         for row in orthogonal.row_iter() {
-            let residual = left * row.iter().last().copied().unwrap_or_default();
+            let residual = left * row.iter().next_back().copied().unwrap_or_default();
             scatter.push(row.iter().map(|q| residual * q));
         }
     }
