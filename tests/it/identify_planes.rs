@@ -118,7 +118,9 @@ fn both_angles_follow_all_coils_and_the_linearised_rod_agrees() {
     });
     std::fs::write(folder.path().join("ma.csv"), format!("{head}\n{}", in_ma.collect::<String>())).unwrap();
     let again = |records: &[&str], tables: &str| {
-        let args = [&["identify"], records, &["--planes", "--order", "4", "--currents", tables, "-o", "again"]];
+        let folder_of_this = records.join("_").replace('.', "_");
+        let options = ["--planes", "--order", "4", "--currents", tables, "-o", folder_of_this.as_str()];
+        let args = [&["identify"], records, &options];
         let output = catoptra(folder.path(), &args.concat());
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
