@@ -333,7 +333,8 @@ fn alarms(course: &Course, tally: &Tally) -> String {
         let (most, fewest) = FRAMES_JUDGED;
         let views = if tally.drift.views_are_judged() {
             format!(
-                "The views fit together all the time: no disagreement of more than 0.3 px in the mean over {most} frames."
+                "The views fit together all the time: no disagreement of more than 0.3 px in the mean over {most} \
+                 frames."
             )
         } else {
             format!(

@@ -60,8 +60,8 @@ fn check_first(path: &Path, row: &Row) -> Result<(), SeriesError> {
     if row.cells.len() > 1 && (counts(0) || counts(1)) {
         let cells = row.cells.join(", ");
         tracing::warn!(
-            "{}: its first line, {cells}, counts as a row; are these numbers of columns? (in pandas header=False leaves \
-             them out)",
+            "{}: its first line, {cells}, counts as a row; are these numbers of columns? (in pandas header=False \
+             leaves them out)",
             path.display()
         );
     }

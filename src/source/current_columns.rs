@@ -58,8 +58,8 @@ impl CurrentColumns {
             let time = names[time].as_ref();
             return Err(format!("has only times, in the column {time}; expected a column per coil, in amperes"));
         }
-        // Programs write numbers of rows without a name (read and written once more, pandas calls them `Unnamed: 0`), and
-        // so does a line that ends with a separator.
+        // Programs write numbers of rows without a name (read and written once more, pandas calls them `Unnamed: 0`),
+        // and so does a line that ends with a separator.
         let is_unnamed = |name: &str| name.is_empty() || name.starts_with("Unnamed: ");
         if let Some(unnamed) = coils.iter().find(|i| is_unnamed(names[**i].as_ref())) {
             return Err(format!(

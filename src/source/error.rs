@@ -270,8 +270,8 @@ pub enum SourceError {
         picture: String,
     },
     /// A picture without a number among numbered ones.
-    #[error("{}: its name does not end with a number, as that of {numbered} does: with --fps pictures are taken for one \
-        sequence in the order of their names; move it elsewhere, or give the times in times.csv", path.display())]
+    #[error("{}: its name does not end with a number, as that of {numbered} does: with --fps pictures are taken for \
+        one sequence in the order of their names; move it elsewhere, or give the times in times.csv", path.display())]
     NoNumber {
         /// The picture.
         path: PathBuf,

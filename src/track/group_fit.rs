@@ -244,8 +244,8 @@ impl GroupFitting<'_> {
             seen.filter_map(|(blob, view)| blob.map(|blob| (view, self.found.blobs[blob].axis))).collect();
         match (direction_of_axes(&axes, &here.point), chord) {
             (Some(axis), Some(chord)) => Some(if axis.dot(&chord) < 0.0 { -axis } else { axis }),
-            // Without a neighbour the sign is that of a moment ago, or undetermined: along gravity or, failing that, down in
-            // the picture.
+            // Without a neighbour the sign is that of a moment ago, or undetermined: along gravity or, failing that,
+            // down in the picture.
             (Some(axis), None) => {
                 let before = self.before(group).map(|(before, _)| before.tangent());
                 let down = before.or_else(|| self.down()).unwrap_or_else(Vector3::y);

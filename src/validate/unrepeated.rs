@@ -7,8 +7,8 @@
 //! Method. What repeats has only multiples of the path's frequency F; with P periods, what lies at F ± j F/P between
 //! them is noise (Pintelon and Schoukens, System Identification, 2012, doi:10.1002/9781118287422, chapter 2). An error
 //! of the size is the projection of all errors on the path around its middle, one of the phase that on the path's
-//! direction of motion. Both projections, turned by cos and sin of 2π j k/(N P) at command k of N, see the noise beside F
-//! alone; their mean square is its power at F if that changes little between F/P and 2F.
+//! direction of motion. Both projections, turned by cos and sin of 2π j k/(N P) at command k of N, see the noise beside
+//! F alone; their mean square is its power at F if that changes little between F/P and 2F.
 //!
 //! What it cannot detect: an error that is the same in all periods.
 

@@ -56,8 +56,8 @@ pub(in crate::cli) fn summary(
     for (view, seen, answered) in idle_views(rig, tally) {
         writeln!(
             out,
-            "\nview {view} shows bands in {seen} of {answered} places that the other views give: it does not count; has \
-             its mirror moved since the calibration (the views that are left cannot tell), or does something hide it?"
+            "\nview {view} shows bands in {seen} of {answered} places that the other views give: it does not count; \
+             has its mirror moved since the calibration (the views that are left cannot tell), or does something hide it?"
         )?;
     }
     if let Some(sources) = tally.budget() {

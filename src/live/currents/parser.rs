@@ -326,8 +326,8 @@ impl Parser {
         self.least_delay_ns = Some(self.least_delay_ns.map_or(delay_ns, |least_ns| least_ns.min(delay_ns)));
         if delay_ns < -AHEAD_NS && !was_ahead {
             tracing::warn!(
-                "{}: a sample has a time {:.3} s after its arrival: the sender's clock is ahead of this computer's, and \
-                 currents are logged so much too late; set both by NTP or PTP, or leave host_ns out",
+                "{}: a sample has a time {:.3} s after its arrival: the sender's clock is ahead of this computer's, \
+                 and currents are logged so much too late; set both by NTP or PTP, or leave host_ns out",
                 self.name,
                 -seconds(delay_ns)
             );
@@ -406,8 +406,8 @@ impl Parser {
         });
         let behind = self.least_delay_ns.filter(|least_ns| *least_ns > BEHIND_NS).map(|least_ns| {
             format!(
-                "every sample arrived {:.3} s or more after its time: the sender's clock is behind this computer's, and \
-                 currents are logged so much too early; set both by NTP or PTP, or leave host_ns out",
+                "every sample arrived {:.3} s or more after its time: the sender's clock is behind this computer's, \
+                 and currents are logged so much too early; set both by NTP or PTP, or leave host_ns out",
                 seconds(least_ns)
             )
         });

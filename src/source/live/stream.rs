@@ -6,8 +6,9 @@
 //! counted ([`StreamFaults::interruptions`]). Standard input ends for good. A stream that is joined between two key
 //! frames begins with the next.
 //!
-//! A stream of bare pictures (Motion JPEG over HTTP, raw H.264) has no times, and those that libav gives it are invented:
-//! its frames are stamped on arrival ([`Clock::HostArrival`]), and lost ones show only as long steps, as of raw pictures.
+//! A stream of bare pictures (Motion JPEG over HTTP, raw H.264) has no times, and those that libav gives it are
+//! invented: its frames are stamped on arrival ([`Clock::HostArrival`]), and lost ones show only as long steps, as of
+//! raw pictures.
 
 use super::super::host::{ClockFit, HostClock};
 use super::super::names::without_credentials;

@@ -476,7 +476,7 @@ fn squares_over_sigma(lasting: f64, runs: u64) -> f64 {
     sum / (2 * runs) as f64
 }
 
-/// By the tracker's own σ alone it would be 1 and 15: (1 − ρ²) / (1 − 2 ρ cos ω + ρ²) at 0.5 Hz and 60 frames per second.
+/// By the tracker's own σ alone it would be 1 and 15: (1 − ρ²) / (1 − 2 ρ cos ω + ρ²) at 0.5 Hz, 60 frames per second.
 #[test]
 fn sigma_of_the_response_counts_noise_that_persists() {
     for lasting in [0.0, 0.9] {
