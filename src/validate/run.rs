@@ -171,9 +171,9 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let counted = means.get(skipped..).unwrap_or_default();
     let numbered = means.iter().enumerate().skip(skipped);
     let mut steps: Vec<Step> = numbered.map(|(k, mean)| step(path, pause_ns, k, mean.as_ref())).collect();
-    all_periods_are_there(path, recording, &window)?;
     let pairs = pairs(path, &steps).map_err(unusable)?;
     let left_out = steps.len() - pairs.len();
+    all_periods_are_there(path, recording, &window)?;
     notes.extend(many_left_out(left_out, steps.len()));
 
     // 3. errors
@@ -252,7 +252,7 @@ fn pairs(path: &DesiredPath, steps: &[Step]) -> Result<Vec<Pair>, String> {
     let pairs: Vec<Pair> = steps.iter().filter_map(|step| Some((step.observed?, step.desired))).collect();
     if 2 * pairs.len() < path.points.len() {
         return Err(format!(
-            "{} of {} commands have a point, less than half of a period of {}",
+            "{} of {} commands have a point, less than half of a period of {}; check --pause and --start",
             pairs.len(),
             steps.len(),
             path.points.len()
