@@ -68,6 +68,7 @@ mod outliers;
 pub(crate) mod residuals;
 pub(crate) mod spectrum;
 pub(crate) mod uncertainty;
+mod varying;
 mod whitened;
 
 pub(crate) mod applied;

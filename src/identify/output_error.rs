@@ -6,7 +6,8 @@
 //! never taken. The initial state of a segment that does not begin at rest is also fitted, and the output's zero
 //! where it is not known.
 //!
-//! Finds a local minimum. Its covariance holds for white e, and for an input without noise.
+//! Finds a local minimum. Its covariance holds for noise of any colour (`colour`), also where it varies with the
+//! excitation (`varying`), and for an input without noise.
 
 use super::IdentifyError;
 use super::colour::Colour;
@@ -16,6 +17,7 @@ use super::estimated::{Estimated, Refined};
 use super::model::{Polynomials, all_pole};
 use super::regression::{Triangle, solve};
 use super::uncertainty::Covariance;
+use super::varying;
 use super::zero::{self, Columns};
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
 use std::collections::BTreeSet;
@@ -56,7 +58,11 @@ pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refi
     let solution = solve(triangle(segments, &linearised)).ok_or_else(dependent)?;
     let parts = segments.iter().zip(linearised).map(|(segment, rows)| derivatives_and_residual(segment, rows));
     let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
-    let factor = Colour::of(&residuals).factor(&derivatives, &solution.inverse);
+    let colour = Colour::of(&residuals);
+    let mut factor = colour.factor(&derivatives, &solution.inverse);
+    let alike = colour.correlated_samples();
+    let varying = varying::factors(&derivatives, &residuals, &solution.inverse, noise_variance, alike);
+    factor.row_iter_mut().zip(varying.iter()).for_each(|(mut row, by)| row *= *by);
     let estimated = Estimated {
         model,
         covariance: Covariance::from_factor(factor * noise_variance.sqrt()),

@@ -5,6 +5,10 @@
 //! from frame to frame; then both levels are known, are followed slowly, and a change goes beyond their middle by
 //! [`HYSTERESIS`] of their distance. An exposure that the change falls into counts for the one or the other.
 //!
+//! An exposure or a light that changes takes both levels elsewhere, and what is followed is one of them only: the disc
+//! is then between the two for longer than a change takes. That level counts as the one that it has, and the other is
+//! learned anew, by the next change.
+//!
 //! Before the first change a lamp counts as on when it is brighter than half of full scale. Where that is wrong the
 //! count begins at the other number; its changes are right.
 //!
@@ -21,6 +25,12 @@ const MIN_CHANGE_SD: f64 = 8.0;
 const HYSTERESIS: f64 = 0.15;
 /// By how much a level follows what is seen.
 const ADAPTATION: f64 = 0.05;
+/// Part of the levels' distance, and of the standard deviation from frame to frame, further from a level than which it
+/// does not follow; and by how much of them the disc changes at most from one frame to the next while it stays.
+const FAR: (f64, f64) = (0.2, 4.0);
+const STAYS: (f64, f64) = (0.15, 3.0);
+/// Part of the frames that may be between the levels, and stay there: 6 frames in sequence.
+const BETWEEN: f64 = 0.25;
 /// Brighter than this counts as on before anything has changed.
 const HALF: f64 = 128.0;
 
@@ -34,11 +44,21 @@ pub(crate) struct Lamp {
     other: Option<f64>,
     /// Mean square of what changes from frame to frame.
     variance: f64,
+    /// How bright the disc was in the frame before.
+    before: f64,
+    /// Part of the last frames that stay between the levels.
+    between: f64,
+    relearned: bool,
 }
 
 impl Lamp {
     pub(crate) fn new(spot: Spot) -> Self {
-        Self { spot, now: None, other: None, variance: 0.0 }
+        Self { spot, now: None, other: None, variance: 0.0, before: 0.0, between: 0.0, relearned: false }
+    }
+
+    /// Whether levels were found to have changed, and learned anew.
+    pub(crate) fn has_changed(&self) -> bool {
+        self.relearned
     }
 
     /// The count in this picture; `None` where the lamp was not recorded.
@@ -49,14 +69,15 @@ impl Lamp {
     }
 
     fn take(&mut self, level: f64) -> u8 {
+        let step = (level - std::mem::replace(&mut self.before, level)).abs();
         let Some((count, usual)) = self.now else {
             let count = u8::from(level > HALF);
             self.now = Some((count, level));
             return count;
         };
-        let off = level - usual;
+        let (off, sd) = (level - usual, self.variance.sqrt());
         let changed = match self.other {
-            None => off.abs() > MIN_CHANGE.max(MIN_CHANGE_SD * self.variance.sqrt()),
+            None => off.abs() > MIN_CHANGE.max(MIN_CHANGE_SD * sd),
             // Away from the level it has by more than half of the way to the other.
             Some(other) => off / (other - usual) > 0.5 + HYSTERESIS,
         };
@@ -64,7 +85,26 @@ impl Lamp {
             let level = self.other.map_or(level, |other| other + ADAPTATION * (level - other));
             self.other = Some(usual);
             self.now = Some((1 - count, level));
+            self.between -= ADAPTATION * self.between;
             return 1 - count;
+        }
+        if let Some(other) = self.other {
+            let distance = (other - usual).abs();
+            let is_far = off.abs() > (FAR.0 * distance).max(FAR.1 * sd);
+            let stays = step < (STAYS.0 * distance).max(STAYS.1 * sd);
+            let towards = off * (other - usual) > 0.0;
+            self.between += ADAPTATION * (f64::from(u8::from(is_far && towards && stays)) - self.between);
+            if self.between > BETWEEN {
+                (self.now, self.other, self.between, self.relearned) = (Some((count, level)), None, 0.0, true);
+                return count;
+            }
+            if is_far {
+                // Away from the other it only becomes clearer.
+                if !towards && stays {
+                    self.now = Some((count, level));
+                }
+                return count;
+            }
         }
         self.variance += ADAPTATION * (off * off - self.variance);
         self.now = Some((count, usual + ADAPTATION * off));
@@ -130,6 +170,43 @@ mod tests {
         // A frame that the change falls into counts for one or the other.
         let smeared = counts([20.0, 20.0, 200.0, 200.0, 110.0, 20.0, 20.0, 110.0, 200.0]);
         assert_eq!(smeared.windows(2).filter(|pair| pair[0] != pair[1]).count(), 3, "{smeared:?}");
+    }
+
+    /// Levels before and after frame 400, both at once: another exposure, another light.
+    #[test]
+    fn levels_that_change_are_learned_anew_whatever_is_switched_meanwhile() {
+        for (before, after) in [
+            ((40.0, 200.0), (22.0, 110.0)),
+            ((22.0, 110.0), (40.0, 200.0)),
+            ((20.0, 160.0), (100.0, 240.0)),
+            ((100.0, 240.0), (20.0, 160.0)),
+        ] {
+            for held in [3, 4, 8, 30, 120] {
+                let mut random = Random::new(held as u64);
+                let on = |k: usize| k >= 60 && (k / held) % 2 == 1;
+                let mut lamp = Lamp::new(SPOT);
+                let found: Vec<u8> = (0..1200)
+                    .map(|k| {
+                        let (dark, bright) = if k < 400 { before } else { after };
+                        lamp.take(if on(k) { bright } else { dark } + 2.0 * random.normal())
+                    })
+                    .collect();
+                let missed = (1..1200).filter(|k| (on(*k) != on(k - 1)) != (found[*k] != found[k - 1])).count();
+                // What is switched while it is learned may be missed, for half a second; or the change that shows it.
+                assert!(missed <= 1 || missed * held <= 30, "{before:?} {after:?}, held for {held}: {missed} missed");
+                assert!(missed == 0 || lamp.has_changed());
+            }
+        }
+        // Changes that fall into exposures, and levels as close as they may be, are none of that.
+        let mut random = Random::new(3);
+        let (mut smeared, mut close) = (Lamp::new(SPOT), Lamp::new(SPOT));
+        for k in 0..4000 {
+            let on = |k: usize| (k / 4) % 2 == 1;
+            let level = if k > 0 && on(k) != on(k - 1) { 110.0 } else { 20.0 + 180.0 * f64::from(u8::from(on(k))) };
+            smeared.take(level + 2.0 * random.normal());
+            close.take(100.0 + 24.0 * f64::from(u8::from(k > 60 && on(k))) + 2.0 * random.normal());
+        }
+        assert!(!smeared.has_changed() && !close.has_changed() && close.other.is_some());
     }
 
     #[test]

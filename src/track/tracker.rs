@@ -38,8 +38,8 @@ use crate::track::slip::Seen;
 use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::{ShapeStep, TubeShape};
 use crate::track::warnings::{
-    BLENDED, COLOURS_LAG, COPIED, DENOISED, FRINGES, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA,
-    SHAKES, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
+    BLENDED, COLOURS_LAG, COPIED, DENOISED, FRINGES, LAMP_CHANGED, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER,
+    PAIRED_CHROMA, SHAKES, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
 };
 use crate::track::ways::Ways;
 use nalgebra::{Matrix3, Vector2};
@@ -301,6 +301,7 @@ impl Tracker {
             (self.order.is_wrong(), OUT_OF_ORDER),
             (self.fields.are_woven(), WOVEN),
             (self.fringes.are_seen(), FRINGES),
+            (self.lamp.as_ref().is_some_and(Lamp::has_changed), LAMP_CHANGED),
             (diameter.is_some(), OTHER_TUBE),
         ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
