@@ -97,9 +97,8 @@ pub(crate) fn identify_with_progress(
         model_error = ModelError::of(&training, estimated, &refined.estimated, settings.initial_state);
         let title = format!("refined, order {}", model.order());
         let shortest = delays(&settings.choice).first().copied().unwrap_or(model.nk);
-        left = Left::of(&training, model, shortest);
         // By Eq. 6 what is left follows the input by its own noise.
-        left = left.filter(|_| !of_output);
+        left = if of_output { None } else { Left::of(&training, model, shortest) };
         let doubted = left.is_some_and(|left| left.follows() || !settings.commanded && left.is_fed_back());
         // Its errors are those of its order, of rows that are shifted, or of feedback; a σ of noise would be wrong.
         let sound = model_error.is_none() && earlier_delay.is_none() && !doubted;

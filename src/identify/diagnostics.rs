@@ -126,7 +126,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
     if let Some((model, error)) = done.model(Role::Refined).zip(done.model_error) {
         diagnostics.push(Diagnostic::ModelError { title: model.title.clone(), error });
     }
-    diagnostics.extend(left_of(data, done, commanded));
+    diagnostics.extend(left_of(done, commanded));
     if let Some(model) = done.leading() {
         diagnostics.extend(model.continuous.as_ref().and_then(|h| delaying_zero(&model.title, h, data.period_s)));
     }
@@ -143,16 +143,15 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
 }
 
 /// What the residual of the refined model tells.
-fn left_of(data: &Data, done: &Identification, commanded: bool) -> Vec<Diagnostic> {
+fn left_of(done: &Identification, commanded: bool) -> Vec<Diagnostic> {
     let Some(title) = done.model(Role::Refined).map(|model| model.title.clone()) else { return Vec::new() };
     // That of one row too late is another response, and what it leaves follows from that.
     if let Some(nk) = done.earlier_delay {
         return vec![Diagnostic::Sooner { title, nk }];
     }
     let Some(left) = done.left else { return Vec::new() };
-    let of_output = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
     // What follows the input before may seem to follow that after, which is like it.
-    if left.is_fed_back() && left.ahead > left.past && !commanded && !of_output {
+    if left.is_fed_back() && left.ahead > left.past && !commanded {
         return vec![Diagnostic::InInput { title, times: left.ahead }];
     }
     let told = left.follows() && done.model_error.is_none();

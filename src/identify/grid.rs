@@ -188,9 +188,10 @@ impl Grid {
         let mean_s = (last_s - first_s) / place as f64;
         let from_line = time_s.iter().zip(&places).map(|(t, k)| (t - first_s - mean_s * *k as f64).abs());
         let farthest = from_line.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
-        let turn = farthest.filter(|(_, off_s)| *off_s > OFF_GRID * period_s).map(|(k, _)| k);
-        if let Some((before_s, after_s)) = turn.and_then(|k| other_rate(time_s, &places, k)) {
-            let at_s = turn.and_then(|k| time_s.get(k)).copied().unwrap_or_default();
+        if let Some((k, _)) = farthest.filter(|(_, off_s)| *off_s > OFF_GRID * period_s)
+            && let Some((before_s, after_s)) = other_rate(time_s, &places, k)
+        {
+            let at_s = time_s[k];
             return Err(GridError::RateChanges { name: name.to_owned(), at_s, before_s, after_s, period_s: usual });
         }
         Ok(Self { period_s, lost: place + 1 - places.len(), places, jitter_s })
@@ -199,10 +200,6 @@ impl Grid {
 
 /// The periods before and after sample `k`, if they differ clearly.
 fn other_rate(time_s: &[f64], places: &[usize], k: usize) -> Option<(f64, f64)> {
-    let ((before, from), (until, behind)) = (time_s.split_at_checked(k)?, places.split_at_checked(k)?);
-    // Sample k belongs to both.
-    let before: Vec<f64> = before.iter().chain(from.first()).copied().collect();
-    let until: Vec<usize> = until.iter().chain(behind.first()).copied().collect();
     // Mean interval, and its variance.
     let mean = |times: &[f64], places: &[usize]| {
         let steps = || times.windows(2).zip(places.windows(2)).map(|(t, k)| (t[1] - t[0], (k[1] - k[0]) as f64));
@@ -211,7 +208,9 @@ fn other_rate(time_s: &[f64], places: &[usize], k: usize) -> Option<(f64, f64)> 
         let squares: f64 = steps().map(|(step, periods)| (step - mean_s * periods).powi(2)).sum();
         (count > 1.0).then_some((mean_s, squares / (count * (count - 1.0))))
     };
-    let ((before_s, var), (after_s, var_after)) = (mean(&before, &until)?, mean(from, behind)?);
+    // Sample k belongs to both.
+    let (before_s, var) = mean(time_s.get(..=k)?, places.get(..=k)?)?;
+    let (after_s, var_after) = mean(time_s.get(k..)?, places.get(k..)?)?;
     let by = (after_s - before_s).abs();
     let differ = by > OTHER_RATE * before_s.min(after_s) && by > OTHER_RATE_SD * (var + var_after).sqrt();
     differ.then_some((before_s, after_s))

@@ -45,16 +45,16 @@ impl Draft {
 }
 
 /// Replaces rows and columns of the noted covariance by those of parameters that were found anew: `block` of theirs,
-/// and zero with all others, which were taken as exact. `true` if it has them all.
-pub(crate) fn renew(provenance: &mut Table, parameters: &[String], block: &DMatrix<f64>) -> bool {
-    let Some(Value::Table(table)) = provenance.get_mut("rig") else { return false };
+/// and zero with all others, which were taken as exact. One that lacks some of them stays as it is.
+pub(crate) fn renew(provenance: &mut Table, parameters: &[String], block: &DMatrix<f64>) {
+    let Some(Value::Table(table)) = provenance.get_mut("rig") else { return };
     let names = table.get("parameters").and_then(Value::as_array);
     let names: Vec<&str> = names.into_iter().flatten().filter_map(Value::as_str).collect();
     let size = names.len();
     let own: Option<Vec<usize>> =
         parameters.iter().map(|parameter| names.iter().position(|name| *name == parameter.as_str())).collect();
-    let Some(own) = own.filter(|own| block.shape() == (own.len(), own.len())) else { return false };
-    let Some(mut covariance) = table.get("covariance").and_then(|value| matrix(value, size)) else { return false };
+    let Some(own) = own.filter(|own| block.shape() == (own.len(), own.len())) else { return };
+    let Some(mut covariance) = table.get("covariance").and_then(|value| matrix(value, size)) else { return };
     for (i, &row) in own.iter().enumerate() {
         covariance.row_mut(row).fill(0.0);
         covariance.column_mut(row).fill(0.0);
@@ -69,9 +69,13 @@ pub(crate) fn renew(provenance: &mut Table, parameters: &[String], block: &DMatr
             covariance[(row, column)] = block[(i, k)];
         }
     }
-    let rows = covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
-    table.insert("covariance".into(), rows.collect::<Vec<Value>>().into());
-    true
+    table.insert("covariance".into(), matrix_note(&covariance));
+}
+
+/// A matrix as it is noted: row by row.
+pub(crate) fn matrix_note(matrix: &DMatrix<f64>) -> Value {
+    let row = |k: usize| matrix.row(k).iter().copied().collect::<Vec<f64>>().into();
+    (0..matrix.nrows()).map(row).collect::<Vec<Value>>().into()
 }
 
 /// The first value that is not a finite number, or is a negative variance, or makes a matrix of another size.

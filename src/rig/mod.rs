@@ -25,7 +25,7 @@ mod warnings;
 mod write;
 
 pub(crate) use base_doubts::base_doubts;
-pub(crate) use covariance::renew as renew_covariance;
+pub(crate) use covariance::{matrix_note, renew as renew_covariance};
 pub use error::RigError;
 pub(crate) use error::nearest;
 pub(crate) use own_lens::lens_note;

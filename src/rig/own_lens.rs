@@ -31,14 +31,19 @@ pub(crate) fn lens_note(lens: &Lens) -> Table {
 }
 
 impl Draft {
+    /// Whether `calibrate rig` adjusted the lens, as far as its σ were known, or took it as exact; `None` where it does
+    /// not say.
+    pub(crate) fn lens_is_adjusted(&self) -> Option<bool> {
+        self.rig_covariance().map(|(names, _)| names.contains(&ADJUSTED))
+    }
+
     /// The same with the lens of its own calibration, before `calibrate rig` adjusted it; `name` is the file in the
     /// error.
     ///
     /// # Errors
     /// [`RigError::Key`] when it was adjusted and not noted before, as by older versions.
     pub(crate) fn with_own_lens(mut self, name: &Path) -> Result<Self, RigError> {
-        let adjusted = self.rig_covariance().is_some_and(|(names, _)| names.contains(&ADJUSTED));
-        if !adjusted || self.lens_covariance().is_none() {
+        if self.lens_is_adjusted() != Some(true) || self.lens_covariance().is_none() {
             return Ok(self);
         }
         let noted = noted(&self.provenance).and_then(|note| read(note).ok());

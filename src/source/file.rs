@@ -108,8 +108,8 @@ const RAW_STREAMS: [&str; 21] = [
 
 /// Whether the data has no times, and those that libav gives its pictures are invented.
 fn is_without_times(input: &av::format::context::Input) -> bool {
-    let name = input.format().name().to_owned();
-    RAW_STREAMS.contains(&name.as_str()) || name.ends_with("_pipe")
+    let format = input.format();
+    RAW_STREAMS.contains(&format.name()) || format.name().ends_with("_pipe")
 }
 
 /// Tag with the camera's clock at the container's zero, nanoseconds. Videos recorded by this program have it when the

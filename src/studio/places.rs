@@ -4,6 +4,7 @@ use super::Refusal;
 use crate::source;
 use serde::Serialize;
 use std::path::{Component, Path, PathBuf};
+use std::time::SystemTime;
 
 /// Entries of a folder that are listed.
 const MAX_LISTED: usize = 2000;
@@ -126,6 +127,12 @@ fn checked_name(text: &str) -> Result<&str, Refusal> {
         _ if text.contains('\0') => Err(Refusal::wrong("the name of a file has a zero in it")),
         _ => Ok(text),
     }
+}
+
+/// When a file or folder was changed last, and its length: what was read of it holds as long as both are the same.
+pub(super) fn changed(path: &Path) -> Option<(SystemTime, u64)> {
+    let about = std::fs::metadata(path).ok()?;
+    Some((about.modified().ok()?, about.len()))
 }
 
 /// The first frame of a recording says whether it can be read.

@@ -2,7 +2,7 @@
 //! and the frames themselves, decoded where they are asked for and kept while they are near.
 
 use super::Refusal;
-use super::places::opened;
+use super::places::{changed, opened};
 use crate::calibrate::markers::locate::pixels::Pixels;
 use crate::sink::ToBgr;
 use crate::source::{Frame, FrameSource, SourceOptions, Span};
@@ -31,11 +31,6 @@ pub(super) struct Reel {
     hint: Option<u64>,
     index: Arc<Index>,
     hand: Mutex<ReelState>,
-}
-
-fn changed(path: &Path) -> Option<(SystemTime, u64)> {
-    let about = std::fs::metadata(path).ok()?;
-    Some((about.modified().ok()?, about.len()))
 }
 
 /// The times of its frames.

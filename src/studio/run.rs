@@ -1,6 +1,7 @@
 //! The files of a run, read back: from its log, with outlines and residuals, or from its table alone.
 
 use super::Refusal;
+use super::places::changed;
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{float, floats, inner, list, number, optional_number, text, whole, word, xyz};
 use crate::log::records;
@@ -46,7 +47,7 @@ impl Runs {
 #[derive(Debug, Default)]
 pub(super) struct Run {
     folder: PathBuf,
-    changed: [Option<SystemTime>; 2],
+    changed: [Option<(SystemTime, u64)>; 2],
     /// Paths as `run.toml` has them.
     pub(super) recording: Option<String>,
     pub(super) rig_path: Option<String>,
@@ -115,7 +116,7 @@ impl Run {
         let of = |key: &str| about.as_ref()?.get(key)?.as_str().map(str::to_owned);
         let mut run = Self {
             folder: folder.to_owned(),
-            changed: changed(folder),
+            changed: files_changed(folder),
             recording: of("recording"),
             rig_path: of("rig"),
             ..Self::default()
@@ -139,13 +140,13 @@ impl Run {
 
     /// Whether its files are still those that were read.
     fn is_current(&self) -> bool {
-        changed(&self.folder) == self.changed
+        files_changed(&self.folder) == self.changed
     }
 
     /// Differs once it is tracked again.
     pub(super) fn version(&self) -> String {
         let since_1970 = |at: SystemTime| at.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_nanos();
-        self.changed.map(|at| at.map_or(0, since_1970).to_string()).join("-")
+        self.changed.map(|file| file.map_or(0, |(at, _)| since_1970(at)).to_string()).join("-")
     }
 
     fn table(&mut self, path: &Path) -> Result<(), Refusal> {
@@ -258,7 +259,6 @@ fn seen(band: &DynamicMessage) -> Seen {
 }
 
 /// When its files were written.
-fn changed(folder: &Path) -> [Option<SystemTime>; 2] {
-    let of = |name: &str| std::fs::metadata(folder.join(name)).ok()?.modified().ok();
-    [of(LOG_FILE), of(TABLE_FILE)]
+fn files_changed(folder: &Path) -> [Option<(SystemTime, u64)>; 2] {
+    [LOG_FILE, TABLE_FILE].map(|name| changed(&folder.join(name)))
 }

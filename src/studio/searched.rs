@@ -1,6 +1,7 @@
 //! Pictures in which a board was looked for: none is searched twice.
 
 use super::Refusal;
+use super::places::changed;
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, BoardImage, find_boards};
 use std::path::{Path, PathBuf};
@@ -17,7 +18,7 @@ pub(super) struct Boards(Mutex<Vec<Arc<Searched>>>);
 /// A picture in which the board was looked for.
 pub(super) struct Searched {
     path: PathBuf,
-    changed: Option<SystemTime>,
+    changed: Option<(SystemTime, u64)>,
     board: String,
     most: usize,
     pub(super) size_px: [u32; 2],
@@ -26,7 +27,7 @@ pub(super) struct Searched {
 
 impl Boards {
     pub(super) fn search(&self, path: &Path, board: &Board, most: usize) -> Result<Arc<Searched>, Refusal> {
-        let changed = std::fs::metadata(path).and_then(|found| found.modified()).ok();
+        let changed = changed(path);
         let words = board.to_string();
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let same = |s: &&Arc<Searched>| s.path == path && s.changed == changed && s.board == words && s.most == most;

@@ -48,8 +48,8 @@ pub(super) const SWINGS: &str = "the base band, which should rest, swings with t
      it is too far from its clamp, which does not harm positions, or the picture moves with the coil (a stand that \
      gives way, a stabiliser), which moves all of them by as much, and σ does not cover that: clamp the tube close to \
      the band, and the camera firmly";
-pub(super) const LAMP_CHANGED: &str = "the lamp's two levels have changed, by the exposure, the light or the camera: they \
-     were learned anew, and changes meanwhile may not be counted";
+pub(super) const LAMP_CHANGED: &str = "the lamp's two levels have changed, by the exposure, the light or the camera: \
+     they were learned anew, and changes meanwhile may not be counted";
 /// After the numbers (diameter.rs).
 pub(super) const OTHER_TUBE: &str = "; measure the tube, and teach the bands with its diameter (or the tape around \
      them, or the scale of the calibration, is another)";

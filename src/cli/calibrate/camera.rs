@@ -6,7 +6,7 @@ use super::{can_be_written, left_out, save};
 use crate::calibrate::board::Board;
 use crate::calibrate::board::BoardPicture;
 use crate::calibrate::camera::{CameraCalibration, CameraError, LensModel, calibrate_camera};
-use crate::rig::{Camera, Draft, lens_note};
+use crate::rig::{Camera, Draft, lens_note, matrix_note};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -68,8 +68,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     let mut provenance = pictures::provenance("camera", &args.board, &searched)?;
     provenance.insert("corner_sd_px".into(), done.corner_sd_px.into());
     provenance.insert("lens".into(), lens_note(&done.lens).into());
-    let rows = done.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
-    provenance.insert("lens_covariance".into(), rows.collect::<Vec<toml::Value>>().into());
+    provenance.insert("lens_covariance".into(), matrix_note(&done.covariance));
     let noise: Vec<toml::Value> =
         (0..done.noise_covariance.nrows()).map(|i| done.noise_covariance[(i, i)].sqrt().into()).collect();
     provenance.insert("lens_sd_by_noise".into(), noise.into());

@@ -77,7 +77,7 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
         share.tip_m.0 * 1e3,
         share.tip_m.1 * 1e3
     );
-    if draft.rig_covariance().is_some_and(|(names, _)| !names.contains(&"focal_x_px")) {
+    if draft.lens_is_adjusted() == Some(false) {
         text += "  the lens is taken as exact: its errors are not among these (it came without σ)\n";
     }
     text += &match share.outside_m {

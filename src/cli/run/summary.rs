@@ -57,7 +57,8 @@ pub(in crate::cli) fn summary(
         writeln!(
             out,
             "\nview {view} shows bands in {seen} of {answered} places that the other views give: it does not count; \
-             has its mirror moved since the calibration (the views that are left cannot tell), or does something hide it?"
+             has its mirror moved since the calibration (the views that are left cannot tell), or does something hide \
+             it?"
         )?;
     }
     if let Some(sources) = tally.budget() {

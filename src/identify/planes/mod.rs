@@ -142,15 +142,21 @@ impl Motion {
             }
         }
         let at = |place: usize| start_s + place as f64 * grid.period_s;
-        let mut drives = vec![None; samples];
+        let mut drives: Vec<Option<Vec<f64>>> = vec![None; samples];
         for (k, place) in grid.places.iter().enumerate() {
             drives[*place] = moved.iter().map(|own| own.drive.get(k).copied().flatten()).collect::<Option<Vec<_>>>();
         }
         // A place without a frame has the current of the one before: lost frames have been given theirs.
-        let drive = |place: usize| drives.iter().take(place + 1).rev().find_map(Clone::clone);
+        let mut before = None;
+        for drive in &mut drives {
+            match drive {
+                Some(_) => before.clone_from(drive),
+                None => drive.clone_from(&before),
+            }
+        }
         // Once commanded, a coil's current is known.
-        let unknown = (0..samples).take_while(|place| drive(*place).is_none()).count();
-        let input: Vec<f64> = (unknown..samples).filter_map(drive).flatten().collect();
+        let unknown = drives.iter().take_while(|drive| drive.is_none()).count();
+        let input: Vec<f64> = drives.into_iter().flatten().flatten().collect();
         let input = DMatrix::from_row_slice(samples - unknown, held.len(), &input);
         Ok(Self { name, period_s: grid.period_s, start_s: at(unknown), input, output: output.remove_rows(0, unknown) })
     }

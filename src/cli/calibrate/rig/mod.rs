@@ -18,7 +18,7 @@ use crate::calibrate::rig::{
     Points, RigCalibration, RigCalibrationError, RigOptions, calibrate_rig, calibrate_rig_from_points, into_draft,
 };
 use crate::report::calibration::{self, CalibrationInfo};
-use crate::rig::Draft;
+use crate::rig::{Draft, matrix_note};
 use args::{BoxSize, Distance};
 use nalgebra::Point3;
 use std::path::{Path, PathBuf};
@@ -262,8 +262,7 @@ fn provenance(
     let surface = |index: usize| solution.geometry.surfaces.get(index).map_or("", |(name, _)| name.as_str());
     let names = solution.free.iter().map(|p| toml::Value::from(p.name(surface)));
     table.insert("parameters".into(), names.collect::<Vec<_>>().into());
-    let rows = solution.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
-    table.insert("covariance".into(), rows.collect::<Vec<toml::Value>>().into());
+    table.insert("covariance".into(), matrix_note(&solution.covariance));
     let noise: Vec<toml::Value> = solution.noise_covariance.diagonal().iter().map(|v| v.sqrt().into()).collect();
     table.insert("sd_by_noise".into(), noise.into());
     if let Some(judged) = judged {
