@@ -13,7 +13,7 @@ use std::thread;
 /// What examines a stream's packets.
 pub(super) enum Examiner {
     Ffv1,
-    Jpeg,
+    Jpeg(jpeg::Examiner),
     Headers(Headers),
 }
 
@@ -99,7 +99,7 @@ impl Examiner {
                 );
                 None
             }
-            av::codec::Id::MJPEG => Some(Self::Jpeg),
+            av::codec::Id::MJPEG => Some(Self::Jpeg(jpeg::Examiner::default())),
             _ => Headers::of(stream).map(Self::Headers),
         }
     }
@@ -108,8 +108,8 @@ impl Examiner {
         let data = packet.data().unwrap_or_default();
         match self {
             Self::Ffv1 => Verdict { sound: ffv1::is_sound(data), stated: None },
-            Self::Jpeg => {
-                let jpeg::Examined { damage, steps } = jpeg::examine(data);
+            Self::Jpeg(examiner) => {
+                let jpeg::Examined { damage, steps } = examiner.examine(data);
                 Verdict { sound: damage.is_none(), stated: steps.map(Stated::Jpeg) }
             }
             Self::Headers(headers) => Verdict { sound: true, stated: headers.level(packet).map(Stated::Level) },

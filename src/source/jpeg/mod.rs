@@ -9,12 +9,14 @@
 mod codes;
 mod quantiser;
 mod samples;
+mod standard;
 mod steps;
 
 use codes::{Bits, Block, BlockCoder, Fault, Table};
 pub(crate) use quantiser::Steps;
 use quantiser::step_at_edges;
 use samples::Samples;
+use standard::STANDARD;
 use steps::has_step;
 
 const START_OF_IMAGE: [u8; 2] = [0xff, 0xd8];
@@ -53,17 +55,23 @@ pub(crate) struct Examined {
 
 /// Examines a JPEG picture; other files give an empty result.
 pub(crate) fn examine(bytes: &[u8]) -> Examined {
-    let mut picture = Picture::default();
-    let damage = picture.read(bytes).err();
-    Examined { damage, steps: picture.steps() }
+    Examiner::default().examine(bytes)
 }
 
-/// Only the quantiser steps, without parsing the codes.
-#[cfg(target_os = "linux")]
-pub(crate) fn steps(bytes: &[u8]) -> Option<Steps> {
-    let mut picture = Picture { without_codes: true, ..Picture::default() };
-    picture.read(bytes).ok()?;
-    picture.steps()
+/// Examines the pictures of a stream.
+#[derive(Default)]
+pub(crate) struct Examiner {
+    /// Whether a picture had codes of its own: those that later pictures leave out may be the same.
+    had_codes: bool,
+}
+
+impl Examiner {
+    pub(crate) fn examine(&mut self, bytes: &[u8]) -> Examined {
+        let mut picture = Picture { others_codes: self.had_codes, ..Picture::default() };
+        let damage = picture.read(bytes).err();
+        self.had_codes |= picture.has_codes;
+        Examined { damage, steps: picture.steps() }
+    }
 }
 
 /// What the segments before a scan define.
@@ -75,6 +83,10 @@ struct Picture {
     direct: [Option<Table>; 4],
     others: [Option<Table>; 4],
     restart_every: usize,
+    /// Whether it defines codes.
+    has_codes: bool,
+    /// Whether codes that it does not define are those of pictures before it; else they are the standard's.
+    others_codes: bool,
     /// Whether to leave its codes alone: of progressive pictures only the steps are told.
     without_codes: bool,
 }
@@ -118,9 +130,11 @@ impl Picture {
                     let body = rest.get(4..length).ok_or("a segment is cut off")?;
                     rest = rest.get(length..).unwrap_or_default();
                     match *code {
-                        HUFFMAN | RESTART_INTERVAL if self.without_codes => {}
                         START_OF_SCAN if self.without_codes => return Ok(()),
-                        HUFFMAN => self.huffman(body).ok_or("a table of codes is damaged")?,
+                        HUFFMAN => {
+                            self.huffman(body).ok_or("a table of codes is damaged")?;
+                            self.has_codes = true;
+                        }
                         QUANTIZATION => self.quantization(body).ok_or("a table of quantization is damaged")?,
                         0xc0 | 0xc1 => self.frame(body).ok_or("the head of the picture is damaged")?,
                         0xc2 => {
@@ -133,10 +147,15 @@ impl Picture {
                             let every = body.first_chunk().ok_or("a segment is cut off")?;
                             self.restart_every = u16::from_be_bytes(*every).into();
                         }
-                        START_OF_SCAN => match self.scan(body, rest)? {
-                            Some(next) => rest = next,
-                            None => return Ok(()),
-                        },
+                        START_OF_SCAN => {
+                            if !self.has_codes && !self.others_codes {
+                                self.huffman(&STANDARD).ok_or("a table of codes is damaged")?;
+                            }
+                            match self.scan(body, rest)? {
+                                Some(next) => rest = next,
+                                None => return Ok(()),
+                            }
+                        }
                         _ => {}
                     }
                 }
@@ -203,7 +222,7 @@ impl Picture {
             let direct = self.direct.get(usize::from(tables >> 4)).and_then(Option::as_ref);
             let others = self.others.get(usize::from(tables & 15)).and_then(Option::as_ref);
             let steps = self.quantization.get(component.quantization).and_then(Option::as_ref);
-            // Motion JPEG may omit the standard tables.
+            // Defined by pictures before it, which are not known here.
             let (Some(direct), Some(others), Some(steps)) = (direct, others, steps) else { return Ok(None) };
             parts.push(Part {
                 sampling: component.sampling,
@@ -310,18 +329,37 @@ mod tests {
         );
         assert!((coarse.chroma_px - 1.0).abs() < 1e-9, "{coarse:?}");
         // A segment before it may contain what begins a scan.
-        #[cfg(target_os = "linux")]
-        {
-            let mut commented = pictures[0].clone();
-            commented.splice(2..2, [0xff, 0xfe, 0, 6, 0xff, START_OF_SCAN, 0, 0]);
-            assert_eq!(steps(&commented), Some(coarse));
-        }
+        let mut commented = pictures[0].clone();
+        commented.splice(2..2, [0xff, 0xfe, 0, 6, 0xff, START_OF_SCAN, 0, 0]);
+        assert_eq!(examine(&commented).steps, Some(coarse));
         // Marked as progressive, and as 4:2:0.
         let mut progressive = pictures[0].clone();
         let head = progressive.windows(2).position(|two| two == [0xff, 0xc0]).unwrap();
         (progressive[head + 1], progressive[head + 11]) = (0xc2, 0x22);
         let Examined { damage, steps } = examine(&progressive);
         assert_eq!((damage, steps), (None, Some(Steps { chroma_px: 4.0, ..coarse })));
+    }
+
+    /// Without the segments that define its codes.
+    fn without_codes(picture: &[u8]) -> Vec<u8> {
+        let mut bytes = picture.to_vec();
+        while let Some(at) = bytes.windows(2).position(|two| two == [0xff, HUFFMAN]) {
+            let length = 2 + usize::from(u16::from_be_bytes([bytes[at + 2], bytes[at + 3]]));
+            bytes.drain(at..at + length);
+        }
+        bytes
+    }
+
+    #[test]
+    fn a_picture_without_codes_has_the_standard_s_unless_others_before_it_had_their_own() {
+        for bytes in sound() {
+            let mut damaged = without_codes(&bytes);
+            assert_eq!(examine(&damaged).damage, None);
+            damaged.truncate(damaged.len() - 9);
+            assert!(Examiner::default().examine(&damaged).damage.is_some());
+            let mut examiner = Examiner::default();
+            assert_eq!([&bytes, &damaged].map(|bytes| examiner.examine(bytes).damage), [None; 2]);
+        }
     }
 
     #[test]

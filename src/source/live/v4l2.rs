@@ -7,7 +7,7 @@
 use super::super::counter::Wrap;
 use super::super::decoded::{PictureMaker, is_damaged};
 use super::super::host::HostClock;
-use super::super::jpeg::{self, is_cut_off};
+use super::super::jpeg::{self, Steps};
 use super::super::{Clock, SourceError, Timestamp};
 use super::camera::{Camera, CapturedFrame, Connection};
 use super::samples;
@@ -60,7 +60,7 @@ struct Session {
     stream: Stream<'static>,
     pictures: PictureMaker,
     layout: Layout,
-    jpeg: Option<av::decoder::Video>,
+    jpeg: Option<JpegDecoder>,
     format: Format,
     sources_named: bool,
 }
@@ -94,7 +94,7 @@ impl Session {
             objection.into_iter().for_each(|text| tracing::warn!("{name}: {text}"));
         }
         let (jpeg, codec) = match layout {
-            Layout::Jpeg => (Some(jpeg_decoder()?), av::codec::Id::MJPEG),
+            Layout::Jpeg => (Some(JpegDecoder::new()?), av::codec::Id::MJPEG),
             Layout::Raw(_) => (None, av::codec::Id::RAWVIDEO),
         };
         let stream = started(&device).map_err(|e| format!("does not start: {e}; is another program using it?"))?;
@@ -136,13 +136,13 @@ impl Connection for Session {
         };
         let (arrival, now) = (Instant::now(), clock_gettime(ClockId::Monotonic));
         let bytes = bytes.get(..meta.bytesused as usize).unwrap_or(bytes);
-        let steps = if self.layout == Layout::Jpeg { jpeg::steps(bytes) } else { None };
         let picture = if meta.flags.contains(Flags::ERROR) {
             Err("the driver marks it as damaged".to_owned())
         } else {
-            video(bytes, self.layout, self.jpeg.as_mut(), &self.format)
-                .and_then(|frame| self.pictures.picture(frame).map_err(|e| e.to_string()))
-                .map(|picture| picture.of_jpeg(steps.as_ref()))
+            video(bytes, self.layout, self.jpeg.as_mut(), &self.format).and_then(|(frame, steps)| {
+                let picture = self.pictures.picture(frame).map_err(|e| e.to_string())?;
+                Ok(picture.of_jpeg(steps.as_ref()))
+            })
         };
         self.name_sources(meta.flags);
         let stamp = stamp(&meta);
@@ -192,33 +192,55 @@ fn stamp(meta: &Metadata) -> Option<Timestamp> {
     Some(Timestamp { ns, clock: Clock::V4l2Monotonic })
 }
 
-/// The picture in a buffer, with the driver's colour tags.
+/// The picture in a buffer, with the driver's colour tags, and the quantiser steps of a JPEG.
 fn video(
     bytes: &[u8],
     layout: Layout,
-    jpeg: Option<&mut av::decoder::Video>,
+    jpeg: Option<&mut JpegDecoder>,
     format: &Format,
-) -> Result<av::frame::Video, String> {
+) -> Result<(av::frame::Video, Option<Steps>), String> {
     match (layout, jpeg) {
         (Layout::Raw(pixel), _) => {
             let padding = (format.stride as usize).saturating_sub(samples::row_bytes(pixel, 0, format.width as usize));
             let frame = samples::of_buffer(bytes, pixel, [format.width, format.height], padding);
             let mut frame = frame.ok_or_else(|| format!("its buffer holds {} bytes only", bytes.len()))?;
             tag(&mut frame, format);
-            Ok(frame)
+            Ok((frame, None))
         }
-        (Layout::Jpeg, Some(decoder)) => {
-            if is_cut_off(bytes) {
-                return Err("its JPEG ends early".to_owned());
-            }
-            let mut frame = av::frame::Video::empty();
-            decoder
-                .send_packet(&av::Packet::copy(bytes))
-                .and_then(|()| decoder.receive_frame(&mut frame))
-                .map_err(|e| format!("its JPEG cannot be decoded: {e}"))?;
-            if is_damaged(&frame) { Err("its JPEG is damaged".to_owned()) } else { Ok(frame) }
-        }
+        (Layout::Jpeg, Some(jpeg)) => jpeg.decode(bytes),
         (Layout::Jpeg, None) => Err("there is no decoder".to_owned()),
+    }
+}
+
+/// Decodes a camera's JPEGs one by one.
+struct JpegDecoder {
+    /// Sees the damage that the decoder conceals: on a busy bus, pieces of pictures are lost without a word.
+    examiner: jpeg::Examiner,
+    decoder: av::decoder::Video,
+}
+
+impl JpegDecoder {
+    fn new() -> Result<Self, String> {
+        let codec = av::decoder::find(av::codec::Id::MJPEG).ok_or("FFmpeg has no decoder of JPEG here")?;
+        let decoder = av::codec::Context::new_with_codec(codec).decoder().video();
+        let decoder = decoder.map_err(|e| format!("no decoder of JPEG: {e}"))?;
+        Ok(Self { examiner: jpeg::Examiner::default(), decoder })
+    }
+
+    fn decode(&mut self, bytes: &[u8]) -> Result<(av::frame::Video, Option<Steps>), String> {
+        if jpeg::is_cut_off(bytes) {
+            return Err("its JPEG ends early".to_owned());
+        }
+        let jpeg::Examined { damage, steps } = self.examiner.examine(bytes);
+        if let Some(what) = damage {
+            return Err(format!("its JPEG is damaged: {what}"));
+        }
+        let mut frame = av::frame::Video::empty();
+        self.decoder
+            .send_packet(&av::Packet::copy(bytes))
+            .and_then(|()| self.decoder.receive_frame(&mut frame))
+            .map_err(|e| format!("its JPEG cannot be decoded: {e}"))?;
+        if is_damaged(&frame) { Err("its JPEG is damaged".to_owned()) } else { Ok((frame, steps)) }
     }
 }
 
@@ -243,11 +265,6 @@ fn tag(frame: &mut av::frame::Video, format: &Format) {
         }
         _ => Curve::BT709,
     });
-}
-
-fn jpeg_decoder() -> Result<av::decoder::Video, String> {
-    let codec = av::decoder::find(av::codec::Id::MJPEG).ok_or("FFmpeg has no decoder of JPEG here")?;
-    av::codec::Context::new_with_codec(codec).decoder().video().map_err(|e| format!("no decoder of JPEG: {e}"))
 }
 
 /// Sets format and size; returns what the camera accepted.
@@ -345,7 +362,7 @@ mod tests {
         // 4 x 2 pixels of YUYV, rows of 12 bytes.
         let bytes: Vec<u8> = (0..24).collect();
         let srgb = Format { colorspace: Colorspace::SRGB, ..format(b"YUYV", 4, 2, 12) };
-        let frame = video(&bytes, Layout::Raw(av::format::Pixel::YUYV422), None, &srgb).unwrap();
+        let (frame, _) = video(&bytes, Layout::Raw(av::format::Pixel::YUYV422), None, &srgb).unwrap();
         assert_eq!(frame.data(0)[frame.stride(0)..][..8], [12, 13, 14, 15, 16, 17, 18, 19]);
         let mut maker = PictureMaker::new("test".into(), av::codec::Id::RAWVIDEO);
         let colour = maker.picture(frame).unwrap().colour();
@@ -356,20 +373,24 @@ mod tests {
     }
 
     #[test]
-    fn jpegs_are_decoded_one_by_one_and_a_cut_one_is_refused() {
+    fn jpegs_are_decoded_one_by_one_and_damaged_ones_are_refused() {
         let mut bytes = Vec::new();
         let grey = image::RgbImage::from_pixel(64, 48, image::Rgb([90, 90, 90]));
         image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 95).encode_image(&grey).unwrap();
-        let mut decoder = jpeg_decoder().unwrap();
+        let mut decoder = JpegDecoder::new().unwrap();
         let jpeg = format(b"MJPG", 64, 48, 0);
         for _ in 0..3 {
             // A driver may pass on more than the picture.
             let padded = [&bytes[..], &[0; 16]].concat();
-            let frame = video(&padded, Layout::Jpeg, Some(&mut decoder), &jpeg).unwrap();
-            assert_eq!((frame.width(), frame.height()), (64, 48));
+            let (frame, steps) = video(&padded, Layout::Jpeg, Some(&mut decoder), &jpeg).unwrap();
+            assert_eq!((frame.width(), frame.height(), steps.is_some()), (64, 48, true));
             assert!(frame.data(0)[0].abs_diff(90) < 2);
             let cut = video(&bytes[..bytes.len() / 2], Layout::Jpeg, Some(&mut decoder), &jpeg).err().unwrap();
             assert!(cut.contains("ends early"), "{cut}");
+            // A piece in the middle was lost.
+            let lost = [&bytes[..bytes.len() - 24], &bytes[bytes.len() - 12..]].concat();
+            let lost = video(&lost, Layout::Jpeg, Some(&mut decoder), &jpeg).err().unwrap();
+            assert!(lost.contains("its JPEG is damaged: "), "{lost}");
         }
     }
 
