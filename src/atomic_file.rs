@@ -38,6 +38,10 @@ impl NewFile {
     pub(crate) fn begin(place: &Path) -> io::Result<(Self, File)> {
         let old = fs::canonicalize(place);
         let place = old.as_deref().unwrap_or(place);
+        // A rename would put a file in its place.
+        if fs::metadata(place).is_ok_and(|old| !old.is_file()) {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "is a device, a pipe or a folder, not a file"));
+        }
         let mut beside = place.as_os_str().to_owned();
         beside.push(format!(".{}.new", std::process::id()));
         let new = Self { beside: beside.into(), place: place.to_path_buf() };
@@ -77,6 +81,16 @@ pub(crate) fn backup_names(place: &Path) -> impl Iterator<Item = PathBuf> {
 mod tests {
     use super::*;
     use std::os::unix::fs::{PermissionsExt as _, symlink};
+
+    #[test]
+    fn what_is_no_file_is_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        for place in [Path::new("/dev/null"), folder.path()] {
+            let error = write(place, b"new").unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::InvalidInput, "{error}");
+        }
+        assert!(!fs::metadata("/dev/null").unwrap().is_file());
+    }
 
     #[test]
     fn what_a_link_leads_to_is_replaced_and_keeps_its_permissions() {

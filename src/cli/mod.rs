@@ -8,6 +8,7 @@ mod camera;
 mod catheter;
 mod collect;
 mod convert;
+mod copies;
 mod docs;
 mod excite;
 mod failure;

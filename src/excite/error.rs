@@ -96,6 +96,19 @@ pub(crate) enum ExciteError {
         /// Samples per second.
         rate_hz: f64,
     },
+    /// Levels that are never reached.
+    #[error("in {duration_s} s, {fit} of {given} levels fit, each held for {hold_s} s: hold them shorter, or go on for \
+        {} s or longer", hold_s * *given as f64)]
+    UnusedLevels {
+        /// Total length, seconds.
+        duration_s: f64,
+        /// How many levels are held in that time.
+        fit: usize,
+        /// How many there are.
+        given: usize,
+        /// How long each is held, seconds.
+        hold_s: f64,
+    },
     /// Beyond the limit of current.
     #[error(
         "the current reaches {:.1} mA, and from {at_s:.3} s on exceeds the limit of {limit} mA: an amplitude of \

@@ -44,8 +44,8 @@ impl Steps {
     /// The signal at `rate`.
     ///
     /// # Errors
-    /// [`ExciteError`] when there are fewer than two levels, they are held for less than two samples, or the length is
-    /// zero.
+    /// [`ExciteError`] when there are fewer than two levels, they are held for less than two samples, not all of them
+    /// are reached, or the length is zero.
     pub(crate) fn signal(&self, rate: FrameRate) -> Result<Signal, ExciteError> {
         let mut different: Vec<f64> = self.levels_a.iter().copied().filter(|level| level.is_finite()).collect();
         different.sort_by(f64::total_cmp);
@@ -58,6 +58,11 @@ impl Steps {
             return Err(ExciteError::Hold { hold_s: self.hold_s, rate_hz: rate.hz() });
         }
         let levels = all.div_ceil(held_rows);
+        let given = self.levels_a.len();
+        if levels < given {
+            let (duration_s, hold_s) = (self.duration_s, self.hold_s);
+            return Err(ExciteError::UnusedLevels { duration_s, fit: levels, given, hold_s });
+        }
         let levels: Vec<f64> = match self.order {
             Order::Staircase => self.levels_a.iter().copied().cycle().take(levels).collect(),
             Order::Random { seed } => {
@@ -114,6 +119,8 @@ mod tests {
         assert!(
             message(Steps { levels_a: vec![0.1, 0.1], ..fits.clone() }).contains("two levels that differ; 1 given")
         );
-        assert!(message(Steps { hold_s: 0.1, ..fits }).contains("hold it for 0.2 s or longer"));
+        assert!(message(Steps { hold_s: 0.1, ..fits.clone() }).contains("hold it for 0.2 s or longer"));
+        let long = message(Steps { hold_s: 2.0 * fits.duration_s / fits.levels_a.len() as f64, ..fits });
+        assert!(long.contains("levels fit, each held for"), "{long}");
     }
 }

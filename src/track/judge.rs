@@ -28,6 +28,13 @@ const DISAGREEMENT_FRAMES: f64 = 8.0;
 /// Mean disagreement that is no chance: it is 1, with a standard deviation of 0.4.
 const MAX_DISAGREEMENT: f64 = 9.0;
 
+/// Refused frames in a row after which something was in front of a band, and accepted ones for which nothing is learned
+/// of it then. What hides it by and by looks right again where its edge lies on the tube's own, and must not become
+/// usual from there on: a grey bar that crept over a band at rest by 0.03 pixels a frame was refused for 87 frames,
+/// then accepted for good, 13 σ off.
+const LASTING_REFUSAL: u32 = 8;
+const DISTRUSTED_FRAMES: u32 = 300;
+
 /// Half-life of observed chroma slips, frames.
 const SLIP_FRAMES: f64 = 20.0;
 
@@ -44,11 +51,39 @@ pub(crate) struct Judge {
     usual_widths: UsualWidths,
     /// For each marker, the reference of the stretch that it was last part of and whose residuals are known.
     stretch: Vec<usize>,
+    /// For each reference marker.
+    refusals: Vec<Refusals>,
     /// Of the fits of each reference marker: mean disagreement of the views, as χ² per degree of freedom.
     disagreement: Vec<f64>,
     slip: Seen,
     /// Observed offset of chroma from the rig's that following frames are fitted with, pixels.
     pub mean_slip_px: Vector2<f64>,
+}
+
+/// How a band was refused.
+#[derive(Debug, Clone, Copy, Default)]
+struct Refusals {
+    /// In a row, up to now.
+    in_a_row: u32,
+    /// Frames for which nothing is learned of it.
+    distrusted: u32,
+}
+
+impl Refusals {
+    fn refused(&mut self) {
+        self.in_a_row = self.in_a_row.saturating_add(1);
+        if self.in_a_row >= LASTING_REFUSAL {
+            self.distrusted = DISTRUSTED_FRAMES;
+        }
+    }
+
+    /// Notes a frame that is accepted; returns whether to learn from it.
+    fn accepted(&mut self) -> bool {
+        self.in_a_row = 0;
+        let trusted = self.distrusted == 0;
+        self.distrusted = self.distrusted.saturating_sub(1);
+        trusted
+    }
 }
 
 /// The RMS residual of a fit in a view, as it would be in the light of the first frames.
@@ -78,6 +113,7 @@ impl Judge {
             usual_size: Usual::new(rig),
             usual_widths: UsualWidths::new(rig),
             stretch: (0..rig.markers.len()).collect(),
+            refusals: vec![Refusals::default(); rig.markers.len()],
             disagreement: vec![1.0; rig.markers.len()],
             slip: Seen::default(),
             mean_slip_px: Vector2::zeros(),
@@ -163,6 +199,10 @@ impl Judge {
                 let view = &fit.views[i];
                 let separation = separation::least(rig, encoding, group, views[i], &view.look.colours);
                 *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
+                self.refusals[group.reference].refused();
+                continue;
+            }
+            if !self.refusals[group.reference].accepted() {
                 continue;
             }
             for ((Residual { view: v, rms, .. }, view), size) in residuals.iter().zip(&fit.views).zip(sizes) {
@@ -214,6 +254,15 @@ impl Judge {
 mod tests {
     use super::*;
     use crate::testing::random::Random;
+
+    #[test]
+    fn nothing_is_learned_for_a_while_after_lasting_refusals() {
+        let mut refusals = Refusals::default();
+        (1..LASTING_REFUSAL).for_each(|_| refusals.refused());
+        assert!(refusals.accepted(), "a few are chance");
+        (0..LASTING_REFUSAL).for_each(|_| refusals.refused());
+        assert!((0..DISTRUSTED_FRAMES).all(|_| !refusals.accepted()) && refusals.accepted());
+    }
 
     #[test]
     fn of_signs_by_chance_one_sum_in_twenty_is_more() {

@@ -170,7 +170,10 @@ pub(super) fn push(
     if let Some(seen) = seen.tangent {
         // Across y, which a catheter that bends towards B0 does not point along.
         let aside = Vector3::y().cross(tangent).try_normalize(1e-6).unwrap_or_else(Vector3::x);
-        let off = (seen - tangent) * (weight / noise.angle_rad);
+        // The whole angle: a direction that is reversed is far off, too.
+        let across = seen - tangent * seen.dot(tangent);
+        let angle = across.norm().atan2(seen.dot(tangent));
+        let off = across.try_normalize(1e-12).unwrap_or(aside) * (angle * weight / noise.angle_rad);
         left.extend([off.dot(&aside), off.dot(&tangent.cross(&aside))]);
     }
 }

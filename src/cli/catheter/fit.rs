@@ -1,5 +1,6 @@
 //! `catoptra catheter fit`: the catheter's parameters from tracked runs.
 
+use super::super::copies;
 use super::super::output::{PAGE, save};
 use super::super::results::unfinished;
 use super::super::units::{duration_s, seconds_ns};
@@ -59,7 +60,7 @@ pub(super) struct FitArgs {
     #[arg(long)]
     only_still: bool,
     /// Longest step of the computed motion
-    #[arg(long, value_name = "T", default_value = "4ms", value_parser = duration_s)]
+    #[arg(long, value_name = "T", default_value = "2ms", value_parser = duration_s)]
     step: f64,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
@@ -104,6 +105,9 @@ impl FitArgs {
         let fitted = read(&self.runs, &self.currents, &seen_fitted)?;
         let judged = read(&self.validate, &self.validate_currents, &seen_judged)?;
         let judged: Vec<Run> = judged.into_iter().map(|(run, _)| run).collect();
+        let all: Vec<(&Run, bool)> =
+            fitted.iter().map(|(run, _)| (run, true)).chain(judged.iter().map(|run| (run, false))).collect();
+        copies::check(&all, |a, b| a.0.sightings == b.0.sightings, |(run, is_fitted)| (&run.name, *is_fitted))?;
         // The file that is written says where the bands of its runs are.
         catheter.bands = fitted.iter().find_map(|(run, _)| run.bands).or(catheter.bands);
         let stated_noise = fitted.iter().find_map(|(_, stated_noise)| *stated_noise);

@@ -66,8 +66,8 @@ pub(super) struct RunArgs {
 /// Which columns of currents belong to which coil.
 #[derive(Debug, Default, clap::Args)]
 pub(in super::super) struct Columns {
-    /// Columns of the coils x, y, z; `-` for a coil without current [default: x_a,y_a,z_a, or the table's three columns
-    /// in their order, or its only one for the axial coil z]
+    /// Columns of the coils x, y, z; `-` for a coil without current [default: those whose names say so, as x_a or
+    /// coil_x; else the table's three columns in their order, or its only one for the axial coil z]
     #[arg(long, value_name = "NAMES", value_delimiter = ',', allow_hyphen_values = true)]
     coils: Vec<String>,
 }
@@ -98,9 +98,13 @@ impl Columns {
         match self.coils.as_slice() {
             [] => {
                 let usual = ["x_a", "y_a", "z_a"].map(find);
+                let axes: Vec<Option<usize>> = names.iter().map(|name| axis(name)).collect();
+                let named = [0, 1, 2].map(|k| axes.iter().position(|axis| *axis == Some(k)));
+                let is_unique = named.iter().flatten().count() == names.len();
                 match (usual, names.len()) {
                     ([Some(_), Some(_), Some(_)], _) => Ok(usual),
-                    (_, 3) => Ok([Some(0), Some(1), Some(2)]),
+                    (_, 1 | 3) if is_unique => Ok(named),
+                    (_, 3) if axes.iter().all(Option::is_none) => Ok([Some(0), Some(1), Some(2)]),
                     (_, 1) => Ok([None, None, Some(0)]),
                     _ => Err(format!("has the columns {there}; say with --coils which are the coils x, y, z")),
                 }
@@ -121,6 +125,12 @@ impl Columns {
             names => Err(format!("--coils: {} names, expected three: the columns of the coils x, y, z", names.len())),
         }
     }
+}
+
+/// The coil that a column's name names by a letter of its own, as `coil_y` and `y_a` do: 0 to 2 for x, y, z.
+fn axis(name: &str) -> Option<usize> {
+    let mut words = name.split(|c: char| !c.is_ascii_alphanumeric());
+    words.find_map(|word| ["x", "y", "z"].iter().position(|axis| word.eq_ignore_ascii_case(axis)))
 }
 
 impl RunArgs {
@@ -267,6 +277,18 @@ mod tests {
         assert_eq!(of("a,a,b").unwrap_err(), "column `a` is given for more than one coil");
         assert_eq!(of("a,b,c").unwrap_err(), "has no column `c`; it has a, b");
         assert_eq!(of("a,b").unwrap_err(), "--coils: 2 names, expected three: the columns of the coils x, y, z");
+    }
+
+    #[test]
+    fn without_coils_names_tell_or_the_order_does() {
+        let of = |names: &str| Columns::default().of(&names.split(',').map(str::to_owned).collect::<Vec<_>>());
+        assert_eq!(of("z_a,temp_c,y_a,x_a"), Ok([Some(3), Some(2), Some(0)]));
+        assert_eq!(of("coil_z,coil_y,coil_x"), Ok([Some(2), Some(1), Some(0)]));
+        assert_eq!(of("I_Y_A"), Ok([None, Some(0), None]));
+        assert_eq!([of("coil_1,coil_2,coil_3"), of("axial")], [Ok([0, 1, 2].map(Some)), Ok([None, None, Some(0)])]);
+        for unclear in ["y_a,z_a,temp_c", "x_a,x_b,y_a", "z,y"] {
+            assert!(of(unclear).unwrap_err().contains("say with --coils"), "{unclear}");
+        }
     }
 
     #[test]

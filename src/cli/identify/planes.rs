@@ -1,5 +1,6 @@
 //! `catoptra identify --planes`: from all coils to both angles.
 
+use super::super::copies;
 use super::args::{Args, DelayArg};
 use super::currents;
 use super::records::{self, Driven};
@@ -100,7 +101,7 @@ fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
     let fitted = args.records.len();
     let numbered: Vec<(usize, &Motion)> = motions.iter().enumerate().collect();
     let is_copy = |(_, one): &(usize, &Motion), (_, other): &(usize, &Motion)| one.is_copy_of(other);
-    records::check_for_copies(&numbered, is_copy, |(k, motion)| (&motion.name, *k < fitted))?;
+    copies::check(&numbered, is_copy, |(k, motion)| (&motion.name, *k < fitted))?;
     records::one_period(motions.iter().map(|motion| (motion.name.as_str(), motion.period_s)), "")?;
     Ok((names.unwrap_or_default(), motions))
 }

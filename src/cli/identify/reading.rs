@@ -1,6 +1,6 @@
 //! From files to signals: reads, grids, cuts, decimates and detrends them; and a summary of each record.
 
-use super::super::provenance;
+use super::super::{copies, provenance};
 use super::args::{Args, DelayArg, Range};
 use super::currents;
 use super::records::{self, Driven};
@@ -68,7 +68,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     records::one_period(periods, " (--resample --period gives them one)")?;
     warn_of_shared_ranges(args);
     let is_copy = |one: &Read, other: &Read| one.record.is_copy_of(&other.record);
-    records::check_for_copies(&all, is_copy, |read| (&read.summary.name, read.summary.training))?;
+    copies::check(&all, is_copy, |read| (&read.summary.name, read.summary.training))?;
     let mut period_s = all.first().map_or(0.0, |read| read.summary.period_s);
     let mut data = Data::default();
     let mut summaries = Vec::new();

@@ -50,6 +50,10 @@ impl Source {
                     return Err(Failure::usage(format!("motion {}: {text}", file.display())));
                 }
                 if let Some(poses) = poses(rig, mount, file)? {
+                    if duration_s.is_some() {
+                        let text = "--duration: a tracked run is simulated as long as it is: leave it out";
+                        return Err(Failure::usage(text));
+                    }
                     return Ok(Self::Poses(poses));
                 }
                 let table = CurrentTable::read(file).map_err(Failure::usage)?;
