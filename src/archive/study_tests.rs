@@ -170,14 +170,39 @@ fn every_row_tells_its_frame_of_reference_and_rigs_have_their_own_markers() {
     save(archive.path(), &summary("a", "tip", "base"), &track("tip"));
     save(archive.path(), &summary("b", "ring", "base"), &track("ring"));
     let find = || Study::find(&[archive.path().to_owned()]).unwrap();
-    assert_eq!(find().mixed_frames(), None);
+    let of_frames = |study: &Study| study.cautions().into_iter().find(|said| said.contains("frames of reference"));
+    assert_eq!(of_frames(&find()), None);
     save(archive.path(), &summary("c", "tip", "camera"), &track("tip"));
     let study = find();
-    let said = study.mixed_frames().unwrap();
+    let said = of_frames(&study).unwrap();
     assert!(said.contains("(base frame in 2 runs, camera frame in 1 run)"), "{said}");
     let table = archive.path().join("frames.parquet");
     assert_eq!(study.write_frames(&table, || {}).unwrap(), 9);
     let rows = SerializedFileReader::new(fs::File::open(&table).unwrap()).unwrap();
     let frames: Vec<String> = rows.into_iter().map(|row| row.unwrap().get_string(1).unwrap().clone()).collect();
     assert_eq!(frames, ["base", "base", "base", "base", "base", "base", "camera", "camera", "camera"]);
+}
+
+#[test]
+fn copies_other_builds_and_tables_elsewhere_are_told() {
+    let archive = tempfile::tempdir().unwrap();
+    let mut first = summary("a", "tip", "base");
+    first.sha256.recording = Some("r".to_owned());
+    save(archive.path(), &first, &track("tip"));
+    let find = || Study::find(&[archive.path().to_owned()]).unwrap();
+    assert_eq!(find().cautions(), Vec::<String>::new());
+    let copy = RunSummary { name: "b".to_owned(), ..first.clone() };
+    save(archive.path(), &copy, &track("tip"));
+    let said = find().cautions();
+    assert!(matches!(&said[..], [one] if one.contains("1 run of the same recording, rig and options")), "{said:?}");
+    let mut other = RunSummary { name: "b".to_owned(), version: "0.0.1".to_owned(), ..first };
+    other.sha256.recording = Some("s".to_owned());
+    other.files.retain(|file| file.name != "track.csv");
+    save(archive.path(), &other, &track("tip"));
+    let said = find().cautions();
+    assert!(
+        matches!(&said[..], [builds, tables] if builds.contains("2 different builds")
+            && tables.contains("the table of 1 run was written elsewhere")),
+        "{said:?}"
+    );
 }

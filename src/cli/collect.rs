@@ -54,7 +54,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     if study.runs.is_empty() {
         return Err(Failure::usage(format!("{}: no run can be read: nothing is written", folders())));
     }
-    study.mixed_frames().iter().for_each(|text| tracing::warn!("{text}"));
+    study.cautions().iter().for_each(|text| tracing::warn!("{text}"));
     // 2. the files
     results.take()?;
     let mut progress = Progress::of(Some(study.runs.len() as u64), "runs", quiet);

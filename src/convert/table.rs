@@ -6,7 +6,7 @@ use super::{ConvertError, Converted, Message, Target, each_message, left_out};
 use crate::log::ros2::PROFILE;
 use crate::log::schema::messages::Current;
 use crate::log::schema::{OPTIONS_ATTACHMENT, Topic};
-use crate::log::{attached, profile, typed};
+use crate::log::{attached, profile, restarted, typed};
 use crate::plural::plural;
 use crate::sink::{OutputFrame, RosLog};
 use std::cmp::Reverse;
@@ -78,11 +78,14 @@ fn attempt(
     let mut ticks = layout.ticks;
     // Samples by their number of coils.
     let mut samples: BTreeMap<usize, u64> = BTreeMap::new();
+    let (mut last, mut restart) = (None, None);
     let take = |message: &Message<'_>| {
         let Some(decoded) = &message.decoded else { return Ok(false) };
         if message.topic == Topic::Estimate.name() {
             let Some(estimate) = typed::estimate(decoded) else { return Ok(false) };
             ticks |= estimate.tick.is_some();
+            let before = last.replace(estimate.seq).filter(|before| estimate.seq <= *before);
+            restart = restart.or(before.map(|before| (estimate.seq, before)));
             let Some(row) = row(&estimate, frame, layout.ticks) else {
                 let why = "has no places in the base frame: its rig has none; convert with --frame camera";
                 return Err(wrong(why.to_owned()));
@@ -126,6 +129,9 @@ fn attempt(
         return Ok(Err(found));
     }
     let Some(frames) = frames else { return Err(wrong("has no frame".to_owned())) };
+    if let Some((seq, before)) = restart {
+        tracing::warn!("{}: {}", path.display(), restarted(seq, before));
+    }
     converted.cut = cut;
     converted.files.push(out.to_owned());
     let mut columns = frames.finish()?;

@@ -65,7 +65,9 @@ pub(crate) fn page(
     body += &failures(study, folder);
     body += &unfinished(study);
     body += &unusual_runs(study, unusual, folder);
-    body += &study.mixed_frames().map_or(String::new(), |text| format!("<p class=\"note\">{}</p>\n", escape(&text)));
+    for text in study.cautions() {
+        body += &format!("<p class=\"note\">{}</p>\n", escape(&text));
+    }
     body += &groups(study, unusual);
     body += "<h2>Run by run</h2>\n<p>Runs in the order of their folders; the name and the value show where the pointer \
         is.</p>\n";

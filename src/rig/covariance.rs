@@ -72,8 +72,10 @@ pub(crate) fn renew(provenance: &mut Table, parameters: &[String], block: &DMatr
     table.insert("covariance".into(), matrix_note(&covariance));
 }
 
-/// A matrix as it is noted: row by row.
+/// A covariance as it is noted: row by row.
 pub(crate) fn matrix_note(matrix: &DMatrix<f64>) -> Value {
+    // Rounding leaves the two halves of a strongly correlated one apart by more than a reader accepts.
+    let matrix = (matrix + matrix.transpose()) / 2.0;
     let row = |k: usize| matrix.row(k).iter().copied().collect::<Vec<f64>>().into();
     (0..matrix.nrows()).map(row).collect::<Vec<Value>>().into()
 }
@@ -167,4 +169,17 @@ fn matrix(value: &Value, size: usize) -> Option<DMatrix<f64>> {
     let rows = rows(value)?;
     let is_square = rows.len() == size && rows.iter().all(|row| row.len() == size);
     is_square.then(|| DMatrix::from_row_slice(size, size, &rows.concat()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_noted_is_symmetric() {
+        let uneven = DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.500_004, 2.0]);
+        let noted = matrix(&matrix_note(&uneven), 2).unwrap();
+        assert_eq!(noted, DMatrix::from_row_slice(2, 2, &[1.0, 0.500_002, 0.500_002, 2.0]));
+        assert_eq!(matrix(&matrix_note(&noted), 2), Some(noted));
+    }
 }

@@ -18,7 +18,7 @@ use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{floats, list, number, text, word};
 use crate::log::records::Records;
 use crate::log::schema::{Topic, WINDOW_FORMAT};
-use crate::log::typed;
+use crate::log::{restarted, typed};
 use crate::plural::are;
 use image::codecs::png::PngDecoder;
 use image::{ColorType, ImageDecoder as _, Limits};
@@ -49,6 +49,8 @@ pub struct LogWindows {
     last: Option<u64>,
     /// Rows that are missing between those read.
     lacking: u64,
+    /// Whether a row had no higher number than the one before.
+    restarts: bool,
     /// Number of the last frame whose windows were read.
     windows_to: Option<u64>,
     span: Span,
@@ -94,6 +96,7 @@ impl LogWindows {
             layout,
             last: None,
             lacking: 0,
+            restarts: false,
             windows_to: None,
             span,
             given: 0,
@@ -152,6 +155,11 @@ impl LogWindows {
                 if let Some(row) = &mut row {
                     // Rows missing in the log are lost frames.
                     let lacking = self.last.map_or(0, |last| row.seq.saturating_sub(last + 1));
+                    if let Some(last) = self.last.filter(|last| row.seq <= *last)
+                        && !std::mem::replace(&mut self.restarts, true)
+                    {
+                        tracing::warn!("{}: {}", self.path.display(), restarted(row.seq, last));
+                    }
                     self.lacking = self.lacking.saturating_add(lacking);
                     row.gap = row.gap.saturating_add(u32::try_from(lacking).unwrap_or(u32::MAX));
                     self.last = Some(row.seq);

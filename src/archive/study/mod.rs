@@ -1,5 +1,6 @@
 //! All runs of an archive: finds them in their folders and makes tables.
 
+mod cautions;
 mod frames;
 mod runs;
 
@@ -149,17 +150,6 @@ impl Study {
             }
         }
         below(folder).map_err(io)?.iter().try_for_each(|folder| self.look(folder, depth + 1, known, searched))
-    }
-
-    /// What to say of positions in different frames of reference, if there are any.
-    pub(crate) fn mixed_frames(&self) -> Option<String> {
-        let mut runs: BTreeMap<String, usize> = BTreeMap::new();
-        self.with_tables().filter_map(Run::frame).for_each(|frame| *runs.entry(frame).or_default() += 1);
-        let of: Vec<String> =
-            runs.iter().map(|(frame, times)| format!("{frame} frame in {}", plural(*times, "run"))).collect();
-        let words = "positions and directions are in different frames of reference";
-        let advice = format!("compare only those with the same value in column `{FRAME}`");
-        (of.len() > 1).then(|| format!("{words} ({}): {advice}", of.join(", ")))
     }
 
     /// Columns of the manifests, of all runs together.
