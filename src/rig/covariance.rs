@@ -177,9 +177,9 @@ mod tests {
 
     #[test]
     fn what_is_noted_is_symmetric() {
-        let uneven = DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.500_004, 2.0]);
+        let uneven = DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.75, 2.0]);
         let noted = matrix(&matrix_note(&uneven), 2).unwrap();
-        assert_eq!(noted, DMatrix::from_row_slice(2, 2, &[1.0, 0.500_002, 0.500_002, 2.0]));
+        assert_eq!(noted, DMatrix::from_row_slice(2, 2, &[1.0, 0.625, 0.625, 2.0]));
         assert_eq!(matrix(&matrix_note(&noted), 2), Some(noted));
     }
 }
