@@ -20,8 +20,8 @@ use nalgebra::{Complex, DMatrix, DVector, Dyn, Matrix3, Point3, Vector3};
 const NEWTON_TOLERANCE: f64 = 1e-10;
 const MAX_STEPS: usize = 12;
 /// How often a change may be larger than the one before, in a step: once or twice it is where currents jump. (Halving
-/// such steps costs more than it saves: the method's own acceleration belongs to one length of step, and the tip was 0.8 mm
-/// off at steps of 4 ms.)
+/// such steps costs more than it saves: the method's own acceleration belongs to one length of step, and the tip was
+/// 0.8 mm off at steps of 4 ms.)
 const MAX_GROWTHS: u32 = 4;
 /// Newton's matrix is kept for the next step while the change falls to this part of it or less each time.
 const KEEP_MATRIX_BELOW: f64 = 0.1;

@@ -79,7 +79,7 @@ pub fn attached(path: &Path, name: &str) -> Result<Option<String>, LogError> {
 /// What to say of a log in which frame `seq` comes after frame `last`.
 pub(crate) fn restarted(seq: u64, last: u64) -> String {
     format!(
-        "frame {seq} comes after frame {last}: more than one run is in the log (was it merged?), or part of one twice; all is \
-         taken as one run, with the rig of the first: use the runs' own logs"
+        "frame {seq} comes after frame {last}: more than one run is in the log (was it merged?), or part of one twice; \
+         all is taken as one run, with the rig of the first: use the runs' own logs"
     )
 }

@@ -2,7 +2,7 @@
 
 use super::{FRAME, Run, Study};
 use crate::plural::plural;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 impl Study {
     /// What to say of its runs, as sentences.
@@ -26,16 +26,13 @@ impl Study {
 
     /// The same of runs of different versions of the program or its libraries.
     fn mixed_programs(&self) -> Option<String> {
-        let mut programs: BTreeMap<_, usize> = BTreeMap::new();
-        let of = |run: &Run| {
-            (run.summary.version.clone(), run.summary.sha256.program.clone(), run.summary.libraries.clone())
-        };
-        self.runs.iter().for_each(|run| *programs.entry(of(run)).or_default() += 1);
-        (programs.len() > 1).then(|| {
+        let summaries = self.runs.iter().map(|run| &run.summary);
+        let builds: BTreeSet<_> = summaries.map(|of| (&of.version, &of.sha256.program, &of.libraries)).collect();
+        (builds.len() > 1).then(|| {
             format!(
-                "its runs are of {} different builds of the program or its libraries: `catoptra track --resume` tracks those \
-                 of others again",
-                programs.len()
+                "its runs are of {} different builds of the program or its libraries: `catoptra track --resume` tracks \
+                 those of others again",
+                builds.len()
             )
         })
     }

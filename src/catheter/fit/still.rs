@@ -171,8 +171,9 @@ pub(super) fn push(
         // Across y, which a catheter that bends towards B0 does not point along.
         let aside = Vector3::y().cross(tangent).try_normalize(1e-6).unwrap_or_else(Vector3::x);
         // The whole angle: a direction that is reversed is far off, too.
-        let across = seen - tangent * seen.dot(tangent);
-        let angle = across.norm().atan2(seen.dot(tangent));
+        let along = seen.dot(tangent);
+        let across = seen - tangent * along;
+        let angle = across.norm().atan2(along);
         let off = across.try_normalize(1e-12).unwrap_or(aside) * (angle * weight / noise.angle_rad);
         left.extend([off.dot(&aside), off.dot(&tangent.cross(&aside))]);
     }

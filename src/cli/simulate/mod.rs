@@ -77,7 +77,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "%", default_value_t = 0.0)]
     lost: f64,
     /// N pictures of a board in air and N in the rig instead of a recording
-    #[arg(long, value_name = "N", conflicts_with_all = ["motion", "duration"], value_parser = clap::value_parser!(u16).range(1..=1000))]
+    #[arg(long, value_name = "N", conflicts_with_all = ["motion", "duration"])]
+    #[arg(value_parser = clap::value_parser!(u16).range(1..=1000))]
     boards: Option<u16>,
     /// That board: inner corners and squares
     #[arg(long, value_name = "CxR:SIZE", default_value = "9x6:12mm")]
