@@ -7,8 +7,9 @@
 //!
 //! With u and v along the board's sides from its centre, −1 to 1 at its edges, and Legendre's polynomials P:
 //! - the *bend* raises it by Σ b Pᵢ(u) Pⱼ(v), 2 ≤ i + j ≤ 4, above the plane that fits it best;
-//! - the *stretch* s makes the print (1 + s/2) times as long along x, (1 − s/2) times along y, and the *skew* its sides
-//!   not square to each other; how far they are believed: `print.rs`;
+//! - the *print*: its *stretch* s makes it (1 + s/2) times as long along x, (1 − s/2) times along y, its *skew* its sides
+//!   not square to each other, and where it is *uneven* corners are shifted by Σ c Pᵢ(u) Pⱼ(v), i + j = 2, along x and
+//!   along y: squares grow along the feed, rows are bowed or fan out. How far all this is believed: `print.rs`;
 //! - the *creep* shifts it in its own plane, by Σ c Pᵢ(u) Pⱼ(v), i + j = 3, along x and along y: a bent sheet becomes
 //!   shorter where it is steep, and paper is not fed evenly;
 //! - the *size* is that of a bent sheet: its prior σ is how much shorter the bend makes it if it keeps its length along
@@ -30,18 +31,24 @@ const ORDERS: [(usize, usize); BENDS] =
 /// Number of terms of the bend, of the creep along each side, and of all parameters.
 const BENDS: usize = 12;
 const CREEPS: usize = 4;
-pub(crate) const PARAMETERS: usize = BENDS + 3 + 2 * CREEPS;
-/// Index of the stretch, with the skew behind it, and of the bend's first term of third order.
+pub(crate) const PARAMETERS: usize = BENDS + PRINTS + 1 + 2 * CREEPS;
+/// Index of the first parameter of the print, the stretch, and their number: stretch, skew, and where it is uneven
+/// along x and along y.
 pub(crate) const PRINT: usize = BENDS;
+pub(crate) const PRINTS: usize = 2 + 2 * CUBIC;
+pub(crate) const UNEVEN_TERMS: std::ops::Range<usize> = PRINT + 2..PRINT + PRINTS;
+/// Index of the first term of third order, behind those of second.
 const CUBIC: usize = 3;
 
 /// Prior σ of the terms of the bend of second, third and fourth order, as fractions of the board's half width: most
 /// boards are bent smoothly.
 const FLAT: [f64; 3] = [4e-3, 2e-3, 1e-3];
-/// Prior σ of stretch and skew until the pictures have spoken.
+/// Prior σ of the print until the pictures have spoken: of stretch and skew, and of the uneven terms as fractions of the
+/// half width.
 pub(crate) const WIDEST: f64 = 1e-2;
-/// Prior σ of stretch and skew that are held.
-const HELD: f64 = 1e-9;
+pub(crate) const UNEVEN: f64 = 1e-3;
+/// Prior σ of a print that is held, over [`WIDEST`] or [`UNEVEN`].
+const HELD: f64 = 1e-7;
 /// Prior σ of the terms of the creep, as fractions of the half width.
 const EVEN: f64 = 1e-4;
 /// Least prior σ of the size.
@@ -54,20 +61,27 @@ const SLOPES: usize = 7;
 pub struct Shape {
     /// Half of its sides along x and y, metres; infinite for a rigid set of points.
     half_m: [f64; 2],
-    /// Terms of the bend, stretch, skew, size, terms of the creep along x and along y; lengths in metres.
+    /// Terms of the bend, those of the print, size, terms of the creep along x and along y; lengths in metres.
     parameters: [f64; PARAMETERS],
+    /// Whether its print is taken to be even.
+    even: bool,
 }
 
 impl Shape {
     /// A flat board with these corners, its centre at the origin.
     pub fn flat<'a>(places: impl IntoIterator<Item = &'a Point3<f64>>) -> Self {
         let most = |[x, y]: [f64; 2], p: &Point3<f64>| [x.max(p.x.abs()), y.max(p.y.abs())];
-        Self { half_m: places.into_iter().fold([0.0; 2], most), parameters: [0.0; PARAMETERS] }
+        Self { half_m: places.into_iter().fold([0.0; 2], most), parameters: [0.0; PARAMETERS], even: false }
+    }
+
+    /// The same, with a print that is taken to be even, or not.
+    pub(crate) fn with_even_print(self, even: bool) -> Self {
+        Self { even, ..self }
     }
 
     /// A rigid set of points, without a bend.
     pub(crate) fn rigid() -> Self {
-        Self { half_m: [f64::INFINITY; 2], parameters: [0.0; PARAMETERS] }
+        Self { half_m: [f64::INFINITY; 2], parameters: [0.0; PARAMETERS], even: true }
     }
 
     /// Half of its longer side, metres.
@@ -86,9 +100,31 @@ impl Shape {
         self.parameters[PRINT]
     }
 
-    /// Stretch and skew.
-    pub(crate) fn print(&self) -> [f64; 2] {
-        [self.parameters[PRINT], self.parameters[PRINT + 1]]
+    /// The print: stretch, skew, and the uneven terms along x and along y, metres: how far each shifts the corners at
+    /// the board's edges. By their orders along u and v: 20, 11, 02.
+    pub(crate) fn print(&self) -> [f64; PRINTS] {
+        std::array::from_fn(|i| self.parameters[PRINT + i])
+    }
+
+    /// Prior σ of the print until the pictures have spoken.
+    pub(crate) fn widest(&self) -> [f64; PRINTS] {
+        let uneven_m = UNEVEN * if self.is_rigid() { 1.0 } else { self.half_m() };
+        std::array::from_fn(|i| if i < 2 { WIDEST } else { uneven_m })
+    }
+
+    /// The uneven terms of the print, along x and along y, metres; see [`Self::print`].
+    pub fn uneven_m(&self) -> &[f64] {
+        &self.parameters[UNEVEN_TERMS]
+    }
+
+    /// How far the uneven print shifts a corner of a full grid with its centre at the origin, at most, metres.
+    pub fn unevenness_m(&self, places: &[Point3<f64>]) -> f64 {
+        let shifted = |place: &Point3<f64>| -> Vector3<f64> {
+            let moves = self.moves(place).skip(UNEVEN_TERMS.start);
+            moves.zip(self.uneven_m()).map(|(by, term_m)| by * *term_m).sum()
+        };
+        let mean = places.iter().map(shifted).sum::<Vector3<f64>>() / places.len().max(1) as f64;
+        places.iter().map(|place| (shifted(place) - mean).norm()).fold(0.0, f64::max)
     }
 
     /// Whether it is one of a rigid set of points.
@@ -97,13 +133,19 @@ impl Shape {
     }
 
     /// Each parameter's distance from its prior, with the prior's σ; arbitrary for a rigid shape, where they have no
-    /// effect. `held`: stretch and skew, if they are held.
-    pub(crate) fn priors(&self, held: Option<[f64; 2]>) -> impl Iterator<Item = (f64, f64)> {
+    /// effect. `held`: the print, if it is held.
+    pub(crate) fn priors(&self, held: Option<[f64; PRINTS]>) -> impl Iterator<Item = (f64, f64)> {
         let half_m = if self.is_rigid() { 1.0 } else { self.half_m() };
         let bends = ORDERS.map(|(i, j)| half_m * FLAT.get(i + j - 2).unwrap_or(&1.0));
-        let print = if held.is_some() { HELD } else { WIDEST };
-        let print = [print, print, self.shortening().max(SIZE)];
-        let sds = bends.into_iter().chain(print).chain([EVEN * half_m; 2 * CREEPS]);
+        let mut print = self.widest();
+        let first_held = match (held, self.even) {
+            (Some(_), _) => 0,
+            (None, true) => 2,
+            (None, false) => PRINTS,
+        };
+        print.iter_mut().skip(first_held).for_each(|sd| *sd *= HELD);
+        let size = self.shortening().max(SIZE);
+        let sds = bends.into_iter().chain(print).chain([size]).chain([EVEN * half_m; 2 * CREEPS]);
         let mut off = self.parameters;
         off.iter_mut().skip(PRINT).zip(held.into_iter().flatten()).for_each(|(own, held)| *own -= held);
         off.into_iter().zip(sds)
@@ -137,12 +179,14 @@ impl Shape {
             terms.into_iter().skip(first).take(count).map(move |term| axis * term)
         };
         let (x, y) = (free * flat.x, free * flat.y);
-        let print = [Vector3::new(x, -y, 0.0) / 2.0, Vector3::new(y, x, 0.0) / 2.0, Vector3::new(x, y, 0.0)];
-        along(Vector3::z(), 0, BENDS).chain(print).chain(along(Vector3::x(), CUBIC, CREEPS)).chain(along(
-            Vector3::y(),
-            CUBIC,
-            CREEPS,
-        ))
+        let affine = [Vector3::new(x, -y, 0.0) / 2.0, Vector3::new(y, x, 0.0) / 2.0];
+        along(Vector3::z(), 0, BENDS)
+            .chain(affine)
+            .chain(along(Vector3::x(), 0, CUBIC))
+            .chain(along(Vector3::y(), 0, CUBIC))
+            .chain([Vector3::new(x, y, 0.0)])
+            .chain(along(Vector3::x(), CUBIC, CREEPS))
+            .chain(along(Vector3::y(), CUBIC, CREEPS))
     }
 
     /// Position of a point of the flat board on this one.

@@ -4,6 +4,7 @@
 
 use super::CameraCalibration;
 use super::models::Model;
+use crate::calibrate::bundle::shape::UNEVEN_TERMS;
 use crate::calibrate::least_squares::sigmas;
 use crate::optics::{Lens, corners};
 use crate::whitening::chi_square;
@@ -22,6 +23,9 @@ fn advice(model: Model) -> &'static str {
 const MIN_REACH: f64 = 0.6;
 /// A stretched print is reported if it is this many σ from square and at least by this part.
 const STRETCH_REPORTED: (f64, f64) = (4.0, 5e-4);
+/// An uneven print is reported if it is this many σ from even and shifts a corner by at least this fraction of the
+/// board's half width.
+const UNEVEN_REPORTED: (f64, f64) = (4.0, 2e-4);
 /// A bend is reported if it is this many σ from zero and at least this fraction of the board's half width.
 const BEND_REPORTED: (f64, f64) = (4.0, 1e-3);
 /// Pixels that are not square are reported if fx/fy is this many σ from 1 and differs from it by at least this.
@@ -110,6 +114,24 @@ pub enum CameraDiagnostic {
         /// Its σ.
         sd_percent: f64,
     },
+    /// A print whose squares are not of one size.
+    #[error(
+        "the print is uneven: corners are up to {shifted_mm:.3} mm from where even rows and columns would have them, \
+         {sigmas:.0} σ from an even print. It is allowed for; a printer whose feed does not slip, or a board made by \
+         photography or engraving, gives a better lens"
+    )]
+    Uneven {
+        /// Largest distance of a corner from its even place.
+        shifted_mm: f64,
+        /// Its significance, in σ.
+        sigmas: f64,
+    },
+    /// Nothing is known of the evenness of the print.
+    #[error(
+        "these pictures do not tell an uneven print from the lens: it is taken to be even, and σ does not cover that; \
+         take more pictures, the board tilted to all sides and turned by 90° in a third of them"
+    )]
+    TakenForEven,
     /// Pixels that are not square.
     #[error(
         "fx/fy is {ratio:.4} ± {sd:.4}, {:.0} σ from 1, but most cameras have square pixels: does the camera, or what \
@@ -151,10 +173,16 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     if stretch.abs() > STRETCH_REPORTED.0 * sd && stretch.abs() > STRETCH_REPORTED.1 {
         all.push(CameraDiagnostic::Stretched { percent: 100.0 * stretch, sd_percent: 100.0 * sd });
     }
-    let bend = DVector::from_row_slice(done.shape.bend_m());
-    let covariance = done.shape_covariance.view((0, 0), (bend.len(), bend.len())).into_owned();
-    let sigmas = chi_square(&bend, covariance).map_or(0.0, |chi2| sigmas(chi2, bend.len()));
-    let (sag_m, half_m) = (done.shape.sag_m(places), done.shape.half_m());
+    let from_zero = |terms: &[f64], first: usize| {
+        let covariance = done.shape_covariance.view((first, first), (terms.len(), terms.len())).into_owned();
+        chi_square(&DVector::from_row_slice(terms), covariance).map_or(0.0, |chi2| sigmas(chi2, terms.len()))
+    };
+    let (shifted_m, half_m) = (done.shape.unevenness_m(places), done.shape.half_m());
+    let sigmas = from_zero(done.shape.uneven_m(), UNEVEN_TERMS.start);
+    if sigmas > UNEVEN_REPORTED.0 && shifted_m > UNEVEN_REPORTED.1 * half_m {
+        all.push(CameraDiagnostic::Uneven { shifted_mm: shifted_m * 1e3, sigmas });
+    }
+    let (sag_m, sigmas) = (done.shape.sag_m(places), from_zero(done.shape.bend_m(), 0));
     if sigmas > BEND_REPORTED.0 && sag_m > BEND_REPORTED.1 * half_m {
         all.push(CameraDiagnostic::Bent { sag_mm: sag_m * 1e3, percent: 50.0 * sag_m / half_m, sigmas });
     }

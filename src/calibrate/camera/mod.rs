@@ -78,7 +78,7 @@ pub struct CameraCalibration {
     pub design_effect: f64,
     /// Noise of one coordinate of a corner, pixels.
     pub corner_sd_px: f64,
-    /// The board's shape, and the covariance of its bend and, the last, its stretch; lengths in metres.
+    /// The board's shape, and the covariance of its parameters; lengths in metres.
     pub shape: Shape,
     /// See `shape`.
     pub shape_covariance: DMatrix<f64>,
@@ -204,18 +204,22 @@ pub fn calibrate_camera(
         if used.len() < FEWEST_PICTURES {
             return Err(CameraError::TooFew { found: used.len(), left_out });
         }
-        let (solved, corners) = adjust(board, &used, first.size_px, model)?;
-        if solved.parts.len() < FEWEST_PICTURES {
-            return Err(CameraError::Alike { used: used.len(), found: solved.parts.len() });
+        let (even, corners) = adjust(board, &used, first.size_px, model)?;
+        if even.parts.len() < FEWEST_PICTURES {
+            return Err(CameraError::Alike { used: used.len(), found: even.parts.len() });
         }
+        let all: Vec<usize> = (0..used.len()).collect();
+        let uneven = Bundle { shape: even.shape.with_even_print(false), ..even.of_pictures(&all, &corners) }.solve();
+        let (solved, is_open) = uneven.map_or_else(|_| (even.clone(), true), |solved| (solved, false));
         let of_pictures = by_picture(&solved, &used);
         let Some((worst, off)) = worst_picture(&of_pictures) else {
             let mut done = conclude(&solved, of_pictures, left_out, first.size_px)?;
-            let two = two_lenses(&solved, &corners);
+            let two = two_lenses(&solved, &even, &corners);
             if let Some(two) = &two {
                 widen(&mut done, two);
             }
             done.diagnostics = diagnose(board, &used, &done, &solved, two);
+            done.diagnostics.extend(is_open.then_some(CameraDiagnostic::TakenForEven));
             return Ok(done);
         };
         left_out.push((used.remove(worst).name.clone(), off));
@@ -282,6 +286,7 @@ fn diagnose(
     all
 }
 
+/// With a print that is taken to be even.
 fn adjust(
     board: &Board,
     used: &[&BoardPicture],
@@ -305,7 +310,7 @@ fn adjust(
         }
         let geometry = Geometry { lens, surfaces: Vec::new(), views: vec![("air".to_owned(), Vec::new())] };
         let names = used.iter().map(|picture| picture.name.clone()).collect();
-        let shape = Shape::flat(&places);
+        let shape = Shape::flat(&places).with_even_print(true);
         Ok(Bundle { geometry, free, poses, names, corners: corners.clone(), known: Vec::new(), shape })
     };
     let solved = match bundle(model, model.parameters())?.solve() {

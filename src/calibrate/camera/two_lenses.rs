@@ -1,6 +1,7 @@
 //! Whether pictures fall into two groups with different lenses: two cameras, or one whose focus or zoom was changed.
 //!
-//! In: a solution and its corners. Out: [`TwoLenses`], when one lens clearly does not fit.
+//! In: a solution, the same with an even print, and their corners. Out: [`TwoLenses`], when one lens clearly does not
+//! fit.
 //!
 //! Pictures in which the board lies alike share their errors and stay together: what is split are their clusters, most
 //! of them single pictures. They are first split by what each says alone, in many ways, and the splits compared to
@@ -11,7 +12,10 @@
 //! pictures before and after some moments in their order are compared: of so few splits none is chosen to differ, so
 //! that focal lengths or principal points that differ clearly are enough.
 //!
-//! All groups have the board's shape as found from all pictures: one shape for each would make up for another lens.
+//! Both groups have one shape of the board: one for each would make up for another lens. An uneven print makes up for
+//! two lenses too, and two lenses for an uneven print. So the groups are searched with an even print. Then the corners
+//! of one are moved to where the other's lens would show them, the shape is found anew from all pictures, and both
+//! lenses with it; against them stands one lens with a print that may be uneven.
 //!
 //! Cannot tell: groups of fewer than four clusters; lenses that differ less than other errors of the pictures. Of
 //! OpenCV's twelve pictures of one camera, half of them enlarged, in any order, is detected at 5 %, at 3 % hardly. For
@@ -53,9 +57,9 @@ pub(crate) struct TwoLenses {
     pub(crate) lenses: [Lens; 2],
 }
 
-/// Searches for two groups.
-pub(crate) fn two_lenses(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
-    in_any_order(solved, corners).or_else(|| before_and_after(solved, corners))
+/// Searches for two groups; `even` is the solution with an even print.
+pub(crate) fn two_lenses(solved: &Solution, even: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
+    in_any_order(solved, even, corners).or_else(|| before_and_after(even, corners))
 }
 
 /// Pictures before and after a moment at which focus or zoom were moved, or the part of the sensor that is read.
@@ -70,25 +74,38 @@ fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> 
     let at = |part: f64| {
         let (before, _) = order.split_at_checked((part * order.len() as f64).round() as usize)?;
         let first: Vec<bool> = (0..solved.parts.len()).map(|cluster| before.contains(&cluster)).collect();
-        let (groups, [a, b]) = solved_apart(solved, corners, &first)?;
-        let lenses = [a.geometry.lens, b.geometry.lens];
-        let [f, c] = [|lens: &Lens| lens.focal_px, |lens: &Lens| lens.principal_point_px.coords]
-            .map(|of| of(&lenses[0]) - of(&lenses[1]));
-        let off = Vector4::new(f.x, f.y, c.x, c.y);
-        // They come first.
-        let together = (a.covariance + b.covariance).fixed_view::<4, 4>(0, 0).into_owned();
-        let chi2 = chi_square(&off, together)?;
+        let roughly = solved_apart(solved, &solved.shape, corners, &first)?;
+        if off_chi2(&roughly.1)? < MOVED_CHI2 {
+            return None;
+        }
+        let shape = shared_shape(solved, corners, &roughly)?;
+        let (groups, solutions) = solved_apart(solved, &shape, corners, &first)?;
+        let chi2 = off_chi2(&solutions)?;
+        let lenses = solutions.map(|solution| solution.geometry.lens);
         (chi2 > MOVED_CHI2).then_some((chi2, TwoLenses { groups, lenses }))
     };
     let found = MOMENTS.into_iter().filter_map(at);
     found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found)
 }
 
-fn in_any_order(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
-    let all = squares(solved, &solved.geometry.lens, corners)?.iter().sum::<f64>();
-    let starts = starts(&solved.parts);
-    let parted: Vec<Split> = starts.into_par_iter().filter_map(|start| part(solved, corners, start)).collect();
+/// χ² of the difference of focal lengths and principal points.
+fn off_chi2([a, b]: &[Solution; 2]) -> Option<f64> {
+    let [f, c] = [|lens: &Lens| lens.focal_px, |lens: &Lens| lens.principal_point_px.coords]
+        .map(|of| of(&a.geometry.lens) - of(&b.geometry.lens));
+    let off = Vector4::new(f.x, f.y, c.x, c.y);
+    // They come first.
+    let together = (&a.covariance + &b.covariance).fixed_view::<4, 4>(0, 0).into_owned();
+    chi_square(&off, together)
+}
+
+fn in_any_order(solved: &Solution, even: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
+    let all = squares(solved, &solved.shape, &solved.geometry.lens, corners)?.iter().sum::<f64>();
+    let starts = starts(&even.parts);
+    let parted: Vec<Split> =
+        starts.into_par_iter().filter_map(|start| part(even, &even.shape, corners, start)).collect();
     let best = parted.into_iter().min_by(|a, b| a.left.total_cmp(&b.left))?;
+    let shape = shared_shape(even, corners, &(best.groups, best.solutions))?;
+    let best = part(even, &shape, corners, best.first)?;
     let [a, b] = &best.solutions;
     let off = DVector::from_iterator(
         Parameter::of_lens(&a.geometry.lens).len(),
@@ -101,6 +118,8 @@ fn in_any_order(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
 
 /// Pictures in two groups.
 struct Split {
+    /// Whether each cluster is in the first.
+    first: Vec<bool>,
     groups: [Vec<usize>; 2],
     solutions: [Solution; 2],
     /// Sum of squares with the better lens for each cluster.
@@ -171,9 +190,12 @@ fn settled(parts: &[Part], mut first: Vec<bool>) -> Option<(f64, Vec<bool>)> {
     best
 }
 
-/// The pictures of the clusters in the `first` group and those of the others, each group solved by itself; `None` where
-/// one is too small, or has no solution.
-fn solved_apart(solved: &Solution, corners: &[Corner], first: &[bool]) -> Option<([Vec<usize>; 2], [Solution; 2])> {
+/// The pictures of two groups, and the solution of each by itself.
+type Apart = ([Vec<usize>; 2], [Solution; 2]);
+
+/// The clusters in the `first` group and the others, with a shape of the board; `None` where a group is too small, or
+/// has no solution.
+fn solved_apart(solved: &Solution, shape: &Shape, corners: &[Corner], first: &[bool]) -> Option<Apart> {
     if [true, false].iter().any(|which| first.iter().filter(|first| *first == which).count() < MIN_CLUSTERS) {
         return None;
     }
@@ -182,28 +204,40 @@ fn solved_apart(solved: &Solution, corners: &[Corner], first: &[bool]) -> Option
         pictures.clone().filter(|(_, cluster)| first.get(**cluster) == Some(&which)).map(|(i, _)| i).collect()
     };
     let groups: [Vec<usize>; 2] = [group(true), group(false)];
-    let of = |group: &Vec<usize>| of_group(solved, corners, group).solve().ok();
+    let of = |group: &Vec<usize>| of_group(solved, shape, corners, group).solve().ok();
     let solutions = [of(&groups[0])?, of(&groups[1])?];
     Some((groups, solutions))
 }
 
-/// The problem of some pictures, with the board's shape that was found from all of them.
-fn of_group(solved: &Solution, corners: &[Corner], group: &[usize]) -> Bundle {
+/// The board's shape with two lenses: all pictures as the first would have taken them.
+fn shared_shape(solved: &Solution, corners: &[Corner], (groups, [a, b]): &Apart) -> Option<Shape> {
+    let all: Vec<usize> = (0..solved.poses.len()).collect();
+    let mut bundle = solved.of_pictures(&all, corners);
+    bundle.geometry.lens = a.geometry.lens;
+    for corner in bundle.corners.iter_mut().filter(|corner| groups[1].contains(&corner.picture)) {
+        corner.pixel = a.geometry.lens.distort(&b.geometry.lens.undistort(&corner.pixel)?);
+    }
+    bundle.shape = bundle.shape.with_even_print(false);
+    Some(bundle.solve().ok()?.shape)
+}
+
+/// The problem of some pictures, with a shape of the board.
+fn of_group(solved: &Solution, shape: &Shape, corners: &[Corner], group: &[usize]) -> Bundle {
     let mut own = solved.of_pictures(group, corners);
-    own.corners.iter_mut().for_each(|corner| corner.place = solved.shape.place(&corner.place));
+    own.corners.iter_mut().for_each(|corner| corner.place = shape.place(&corner.place));
     own.shape = Shape::rigid();
     own
 }
 
-fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<Split> {
+fn part(solved: &Solution, shape: &Shape, corners: &[Corner], mut first: Vec<bool>) -> Option<Split> {
     let mut best: Option<Split> = None;
     for _ in 0..MAX_ROUNDS {
-        let Some((groups, [a, b])) = solved_apart(solved, corners, &first) else { break };
-        let [by_a, by_b] = [&a, &b].map(|lens| squares(solved, &lens.geometry.lens, corners));
+        let Some((groups, [a, b])) = solved_apart(solved, shape, corners, &first) else { break };
+        let [by_a, by_b] = [&a, &b].map(|lens| squares(solved, shape, &lens.geometry.lens, corners));
         let (Some(by_a), Some(by_b)) = (by_a, by_b) else { break };
         let left = by_a.iter().zip(&by_b).map(|(a, b)| a.min(*b)).sum();
         if best.as_ref().is_none_or(|best| left < best.left) {
-            best = Some(Split { groups, solutions: [a, b], left });
+            best = Some(Split { first: first.clone(), groups, solutions: [a, b], left });
         }
         let next: Vec<bool> = by_a.iter().zip(&by_b).map(|(a, b)| a < b).collect();
         if next == first {
@@ -215,9 +249,9 @@ fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<S
 }
 
 /// For each cluster, the sum of squares with a lens, the poses being free.
-fn squares(solved: &Solution, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64>> {
+fn squares(solved: &Solution, shape: &Shape, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64>> {
     let all: Vec<usize> = (0..solved.poses.len()).collect();
-    let mut bundle = of_group(solved, corners, &all);
+    let mut bundle = of_group(solved, shape, corners, &all);
     bundle.geometry.lens = *lens;
     bundle.free = Vec::new();
     let left = bundle.search().ok()?.left_px().ok()?;

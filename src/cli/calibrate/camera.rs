@@ -72,8 +72,9 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     let noise: Vec<toml::Value> =
         (0..done.noise_covariance.nrows()).map(|i| done.noise_covariance[(i, i)].sqrt().into()).collect();
     provenance.insert("lens_sd_by_noise".into(), noise.into());
-    let bend_mm: Vec<f64> = done.shape.bend_m().iter().map(|m| m * 1e3).collect();
-    provenance.insert("board_bend_mm".into(), bend_mm.into());
+    let in_mm = |terms_m: &[f64]| -> Vec<f64> { terms_m.iter().map(|m| m * 1e3).collect() };
+    provenance.insert("board_bend_mm".into(), in_mm(done.shape.bend_m()).into());
+    provenance.insert("board_uneven_mm".into(), in_mm(done.shape.uneven_m()).into());
     provenance.insert("board_stretch".into(), done.shape.stretch().into());
     draft.provenance.insert("camera".into(), provenance.into());
     let written = save(&draft, &args.out)?;
@@ -121,11 +122,13 @@ fn describe(board: &Board, searched: &[SearchedPicture], done: &CameraCalibratio
     }
     text += "σ: how much the lens changes from picture to picture; noise: of single corners; model: what the corners \
              of a picture share (board, print, blur, lens model)\n";
-    let (sag_mm, sd) = (done.shape.sag_m(&board.centred_points()) * 1e3, done.stretch_sd());
+    let places = board.centred_points();
+    let (sag_mm, shifted_mm, sd) =
+        (done.shape.sag_m(&places) * 1e3, done.shape.unevenness_m(&places) * 1e3, done.stretch_sd());
     let _ = writeln!(
         text,
         "board: {sag_mm:.2} mm from its highest to its lowest place; its print is longer along rows than along columns \
-         by {:.2} ± {:.2} %",
+         by {:.2} ± {:.2} %, and its corners are up to {shifted_mm:.3} mm from even rows and columns",
         100.0 * done.shape.stretch(),
         100.0 * sd
     );
