@@ -227,8 +227,7 @@ impl Decoding {
     }
 
     /// When the packet of a live picture was read.
-    pub(super) fn arrival_of(&self, picture: &Decoded) -> Option<Instant> {
-        let pts = picture.frame.pts();
+    pub(super) fn arrival_of(&self, pts: Option<i64>) -> Option<Instant> {
         self.read_at.iter().rev().find(|(of, _)| *of == pts).map(|(_, at)| *at)
     }
 

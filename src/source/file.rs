@@ -382,7 +382,7 @@ impl VideoFile {
                 self.size_px = [decoded.frame.width(), decoded.frame.height()];
             }
             self.check_size(&decoded.frame, stamp)?;
-            self.arrival = self.decoding.arrival_of(&decoded);
+            self.arrival = self.decoding.arrival_of(decoded.frame.pts());
             let stated = self.decoding.stated_of(&decoded);
             let picture = self.pictures.picture_stating(decoded.frame, stated)?;
             self.layout = Some((picture.format(), picture.colour()));
@@ -445,6 +445,7 @@ impl VideoFile {
             self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.faults));
             self.leave_out(stamp);
             let Ok(picture) = Picture::missing(self.size_px, format, colour) else { continue };
+            self.arrival = self.decoding.arrival_of(Some(first));
             return Ok(Some(self.frame(stamp, picture)));
         }
         Ok(None)

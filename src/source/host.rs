@@ -11,8 +11,14 @@
 //! lies on the lower envelope. The least offset of each second is kept for two minutes; the line is the edge of their
 //! lower convex hull that spans the middle of them (it lies below all points at the least sum of distances: Moon,
 //! Skelly and Towsley, IEEE INFOCOM 1999, doi:10.1109/INFCOM.1999.749287). In the first seconds the drift is taken as
-//! zero. An offset more than two seconds from the line (a clock that was set) begins a new fit, and so does a stamp
+//! zero. An offset more than two seconds below the line (a clock that was set) begins a new fit, and so does a stamp
 //! earlier than the one before: the clock was set back, or that one was ahead and would hold the line down for minutes.
+//! One more than two seconds above it begins a new fit only if it lasts for a second: the last frames before a pause
+//! wait for what comes after it. Frames whose arrival is not their own, as of damaged packets, are mapped and teach
+//! nothing: paired with the arrival of an earlier one, they would hold the line down for minutes too.
+//!
+//! A camera that loses frames and counts only the others, in its stamps, cannot be told from a path that became slower:
+//! both are late from then on, and the line stays. That is told ([`ClockFit::is_late`]).
 
 use std::collections::VecDeque;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
@@ -71,6 +77,9 @@ const MIN_DRIFT_SPAN_NS: i64 = 10 * BIN_NS;
 const MAX_DRIFT: f64 = 500e-6;
 /// A stamp this far from the fit comes from another clock, or the clock was set.
 const STEP_NS: i64 = 2_000_000_000;
+/// Frames are late if the earliest of every bin, for so many bins, is later than the line by this.
+const LATE_NS: i64 = 100_000_000;
+const LATE_BINS: usize = 5;
 
 /// The mapping of another clock to the host's.
 #[derive(Debug, Clone, Default)]
@@ -80,6 +89,8 @@ pub struct ClockFit {
     last: Option<HostTime>,
     /// The stamp of the frame before, by its own clock.
     last_stamp_ns: Option<i64>,
+    /// The first stamp of those that are later than the line by [`STEP_NS`].
+    far_since_ns: Option<i64>,
     restarts: u64,
 }
 
@@ -87,20 +98,42 @@ impl ClockFit {
     /// Takes the next frame: its stamp by its own clock and its arrival by the host's.
     pub fn map(&mut self, stamp_ns: i64, arrival_ns: i64) -> HostTime {
         let offset = arrival_ns.saturating_sub(stamp_ns);
-        let is_far = |expected: i64| offset.abs_diff(expected) > STEP_NS.unsigned_abs();
+        let beyond = self.offset_at(stamp_ns).map_or(0, |expected| offset.saturating_sub(expected));
+        let is_far = beyond > STEP_NS;
+        let since_ns = *self.far_since_ns.get_or_insert(stamp_ns);
+        let stays_far = is_far && stamp_ns.saturating_sub(since_ns) >= BIN_NS;
         let goes_back = self.last_stamp_ns.is_some_and(|last_ns| stamp_ns < last_ns);
-        if goes_back || self.offset_at(stamp_ns).is_some_and(is_far) {
+        let restart = goes_back || beyond < -STEP_NS || stays_far;
+        if restart {
             self.least.clear();
             self.restarts += 1;
         }
+        if restart || !is_far {
+            self.far_since_ns = None;
+            self.add(stamp_ns, offset);
+        }
         self.last_stamp_ns = Some(stamp_ns);
-        self.add(stamp_ns, offset);
-        let mapped = stamp_ns.saturating_add(self.offset_at(stamp_ns).unwrap_or(offset)).min(arrival_ns);
+        self.placed(stamp_ns, arrival_ns)
+    }
+
+    /// The same of a frame whose arrival may be that of another: the fit does not learn from it.
+    pub fn placed(&mut self, stamp_ns: i64, arrival_ns: i64) -> HostTime {
+        let offset = self.offset_at(stamp_ns).unwrap_or(arrival_ns.saturating_sub(stamp_ns));
+        let mapped = stamp_ns.saturating_add(offset).min(arrival_ns);
         // An improved fit may give an earlier time than the previous frame got.
         let stamp_ns = self.last.map_or(mapped, |last| mapped.max(last.stamp_ns.saturating_add(1)));
         let time = HostTime { arrival_ns, stamp_ns };
         self.last = Some(time);
         time
+    }
+
+    /// By how much all frames of the last seconds arrived later than the line, nanoseconds, if that is much.
+    pub fn is_late(&self) -> Option<i64> {
+        // The last bin is not over yet.
+        let recent = self.least.iter().rev().skip(1).take(LATE_BINS);
+        let late = recent.map(|(at, offset)| Some(offset.saturating_sub(self.offset_at(*at)?)));
+        let least = late.collect::<Option<Vec<i64>>>().filter(|late| late.len() == LATE_BINS)?.into_iter().min()?;
+        (least > LATE_NS).then_some(least)
     }
 
     /// How often the other clock was found to have been set or restarted.
@@ -241,6 +274,52 @@ mod tests {
                 let late_ns = time.stamp_ns - taken_ns;
                 assert!(k == 1800 || late_ns.abs() < 20_000_000, "{wrong_ns}, frame {k}: {late_ns}");
             }
+        }
+    }
+
+    /// Two frames wait for what comes after a pause of four seconds.
+    #[test]
+    fn frames_that_wait_for_those_after_a_pause_keep_their_times() {
+        let mut fit = ClockFit::default();
+        for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(0.0, 30).enumerate() {
+            let pause_ns = if k >= 600 { 4_000_000_000 } else { 0 };
+            let waited_ns = if (598..600).contains(&k) { 4_000_000_000 } else { 0 };
+            let time = fit.map(stamp_ns + pause_ns, arrival_ns + pause_ns + waited_ns);
+            let late_ns = time.stamp_ns - taken_ns - pause_ns;
+            assert!(late_ns.abs() < 20_000_000, "frame {k}: {late_ns}");
+        }
+        assert_eq!(fit.restarts(), 0);
+    }
+
+    /// A camera stamps by count and loses three seconds, or one and a half.
+    #[test]
+    fn frames_that_stay_late_begin_anew_or_are_told() {
+        for (lost_ns, restarts) in [(3_000_000_000, 1), (1_500_000_000, 0)] {
+            let (mut fit, mut told_ns) = (ClockFit::default(), None);
+            for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(0.0, 40).enumerate() {
+                let lost_ns = if k >= 1200 { lost_ns } else { 0 };
+                let time = fit.map(stamp_ns, arrival_ns + lost_ns);
+                told_ns = told_ns.or(fit.is_late());
+                let late_ns = time.stamp_ns - taken_ns - lost_ns;
+                assert!(late_ns.abs() < 20_000_000 || k >= 1200, "frame {k}: {late_ns}");
+                assert!(late_ns.abs() < 20_000_000 || k < 1262 || restarts == 0, "frame {k}: {late_ns}");
+                assert!(told_ns.is_none() || k >= 1200 + 5 * 60, "told at frame {k}");
+            }
+            assert_eq!((fit.restarts(), told_ns.is_some()), (restarts, restarts == 0));
+        }
+    }
+
+    /// Damaged frames come with the arrival of one a third of a second before.
+    #[test]
+    fn the_arrival_of_another_frame_teaches_nothing() {
+        let mut fit = ClockFit::default();
+        for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(0.0, 30).enumerate() {
+            let time = match k % 100 {
+                50 => fit.placed(stamp_ns, arrival_ns - 300_000_000),
+                _ => fit.map(stamp_ns, arrival_ns),
+            };
+            let late_ns = time.stamp_ns - taken_ns;
+            assert!(late_ns.abs() < 20_000_000 || k % 100 == 50, "frame {k}: {late_ns}");
         }
     }
 

@@ -3,6 +3,7 @@
 use super::super::progress::Line;
 use super::super::run::summary::warn_of_alarm;
 use crate::live::{Status, free_bytes};
+use crate::log::schema::LOG_FILE;
 use crate::plural::plural;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -25,6 +26,7 @@ pub(super) struct StatusLine {
     warned_skipped: bool,
     warned_silent: bool,
     warned_pictures: bool,
+    warned_gone: bool,
     last: Instant,
 }
 
@@ -42,6 +44,7 @@ impl StatusLine {
             warned_skipped: false,
             warned_silent: false,
             warned_pictures: false,
+            warned_gone: false,
             last: Instant::now(),
         }
     }
@@ -85,6 +88,14 @@ impl StatusLine {
         if let Some(free) = free_bytes(&self.folder) {
             text += &format!(" · disk {:.1} GB", free as f64 * 1e-9);
             self.warn_of_short_disk(free);
+        }
+        if !self.warned_gone && !self.folder.join(LOG_FILE).exists() {
+            self.warned_gone = true;
+            tracing::error!(
+                "{}: the log is no longer there: the folder was moved or removed, and what is recorded from now on may \
+                 be lost; stop the run and start another",
+                self.folder.display()
+            );
         }
         if status.backlog > 60 {
             text += &format!(" · {} rows wait for it", status.backlog);

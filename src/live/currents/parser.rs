@@ -1,6 +1,8 @@
 //! From bytes to samples of currents: lines, rows of tables, messages; and what to say of those that are none.
 
 use super::super::listener::Listener;
+use super::delays::Delays;
+use super::sequence::Sequence;
 use super::{POLL_INTERVAL, STOP_POLL_INTERVAL};
 use crate::sink::CurrentSample;
 use crate::source::current_columns::{CurrentColumns, TimeColumn};
@@ -18,10 +20,6 @@ use std::time::Duration;
 const MAX_COILS: usize = 64;
 /// A sample further from its arrival is not of this run.
 const MAX_SAMPLE_AGE_NS: i64 = 60_000_000_000;
-/// A sample stamped so long after its arrival comes from another clock.
-const AHEAD_NS: i64 = 5_000_000;
-/// Samples of which none arrives sooner after its time hardly are late on their way: their clock is behind.
-const BEHIND_NS: i64 = 200_000_000;
 /// Senders that are counted apart.
 const MAX_SENDERS: usize = 64;
 /// A header is shorter, bytes.
@@ -75,8 +73,8 @@ pub(super) struct Parser {
     /// Samples of a table whose time is that of their arrival, more or less; and those of other times.
     timely: u64,
     untimely: u64,
-    /// Least time from a sample's own time to its arrival, nanoseconds.
-    least_delay_ns: Option<i64>,
+    delays: Delays,
+    sequence: Sequence,
     /// Lines of whole numbers between commas, before the first with a decimal point.
     whole_numbers: u64,
     decimal_points: bool,
@@ -101,7 +99,8 @@ impl Parser {
             other_coils: 0,
             timely: 0,
             untimely: 0,
-            least_delay_ns: None,
+            delays: Delays::default(),
+            sequence: Sequence::default(),
             whole_numbers: 0,
             decimal_points: false,
             senders: BTreeMap::new(),
@@ -280,7 +279,7 @@ impl Parser {
                 } else {
                     self.untimely += 1;
                 }
-                self.note_delay(&sample);
+                self.note_sender(&sample);
                 self.note_whole_numbers(bytes, &sample);
                 self.send(sample);
             }
@@ -316,22 +315,13 @@ impl Parser {
         }
     }
 
-    /// Warns of a sender whose clock is ahead of this computer's: of the first sample that has not been taken yet.
-    fn note_delay(&mut self, sample: &CurrentSample) {
-        if self.columns.is_some() || sample.host_ns == sample.arrival_ns {
+    /// Warns of a sender whose clock is another, or whose samples are lost. Rows of a table are not sent.
+    fn note_sender(&mut self, sample: &CurrentSample) {
+        if self.columns.is_some() {
             return;
         }
-        let delay_ns = sample.arrival_ns.saturating_sub(sample.host_ns);
-        let was_ahead = self.least_delay_ns.is_some_and(|least_ns| least_ns < -AHEAD_NS);
-        self.least_delay_ns = Some(self.least_delay_ns.map_or(delay_ns, |least_ns| least_ns.min(delay_ns)));
-        if delay_ns < -AHEAD_NS && !was_ahead {
-            tracing::warn!(
-                "{}: a sample has a time {:.3} s after its arrival: the sender's clock is ahead of this computer's, \
-                 and currents are logged so much too late; set both by NTP or PTP, or leave host_ns out",
-                self.name,
-                -seconds(delay_ns)
-            );
-        }
+        let said = self.delays.take(sample).into_iter().chain(sample.seq.and_then(|seq| self.sequence.take(seq)));
+        said.for_each(|said| tracing::warn!("{}: {said}", self.name));
     }
 
     /// Warns of a line such as `0,4`: two coils, or 0.4 A with a decimal comma.
@@ -378,12 +368,13 @@ impl Parser {
     /// Says at the end what was left out, and what may be wrong with the rest.
     fn report(&self) {
         self.doubts().iter().for_each(|doubt| tracing::warn!("{}: {doubt}", self.name));
-        for (count, what) in [
+        let counts = [
             (self.wrong, "lines were no samples"),
             (self.implausible, "samples were not plausible"),
             (self.other_coils, "samples had another number of currents than the first"),
             (self.full, "samples came faster than they were logged"),
-        ] {
+        ];
+        for (count, what) in counts.into_iter().chain(self.sequence.report()) {
             if count > 1 {
                 tracing::warn!("{}: {count} {what}", self.name);
             }
@@ -404,14 +395,7 @@ impl Parser {
                 self.untimely
             )
         });
-        let behind = self.least_delay_ns.filter(|least_ns| *least_ns > BEHIND_NS).map(|least_ns| {
-            format!(
-                "every sample arrived {:.3} s or more after its time: the sender's clock is behind this computer's, \
-                 and currents are logged so much too early; set both by NTP or PTP, or leave host_ns out",
-                seconds(least_ns)
-            )
-        });
-        silent.into_iter().chain(untimely).chain(behind).collect()
+        silent.into_iter().chain(untimely).chain(self.delays.doubt()).collect()
     }
 
     fn sample(&self, bytes: &[u8], arrival_ns: i64) -> Option<CurrentSample> {
@@ -516,7 +500,7 @@ mod tests {
         assert!(take(7_500_000_000).contains("every sample arrived 7.5"));
         assert_eq!(take(1_000_000), "");
         take(-7_500_000_000);
-        assert!(parser.least_delay_ns.unwrap() < -AHEAD_NS);
+        assert!(parser.delays.doubt().is_none());
     }
 
     #[test]

@@ -20,6 +20,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+/// Frames without times after the start of a stream whose steps tell nothing: what was read to recognise the stream comes
+/// at once.
+const STARTING: u32 = 60;
+
 /// A frame, and when its packet was read.
 type Arrived = (Frame, Option<Instant>);
 
@@ -35,9 +39,13 @@ pub struct Stream {
     size_px: [u32; 2],
     clock: HostClock,
     fit: ClockFit,
+    /// Whether it was said that frames are late.
+    late_named: bool,
     /// Of a stream without times.
     arrivals: StampWatch,
     catching_up: CatchingUp,
+    /// Frames of it since it was opened, at most [`STARTING`].
+    since_start: u32,
     stop: Arc<AtomicBool>,
     seq: u64,
     /// Faults of inputs that have ended.
@@ -80,12 +88,33 @@ impl Stream {
             size_px,
             clock,
             fit,
+            late_named: false,
             arrivals,
             catching_up,
+            since_start: 0,
             stop,
             seq: 0,
             past,
         })
+    }
+
+    /// The host's times of a frame. A decoder gives out damaged ones earlier than others, or after them.
+    fn mapped(&mut self, frame: &Frame, arrival_ns: i64) -> HostTime {
+        if frame.picture.is_damaged() {
+            return self.fit.placed(frame.stamp.ns, arrival_ns);
+        }
+        let time = self.fit.map(frame.stamp.ns, arrival_ns);
+        if let Some(late_ns) = self.fit.is_late().filter(|_| !self.late_named) {
+            self.late_named = true;
+            tracing::warn!(
+                "{}: frames arrive {:.0} ms later than their time stamps and the frames before say. Either the way here \
+                 has become slower, or frames were lost by a sender that stamps by count: then `host_stamp_ns`, by which \
+                 currents are matched, is early by as much",
+                self.name,
+                late_ns as f64 * 1e-6
+            );
+        }
+        time
     }
 
     /// The next frame of the input, if there is one.
@@ -110,10 +139,15 @@ impl FrameSource for Stream {
                 Ok(Some((mut frame, arrival))) => {
                     let arrival_ns = self.clock.at_ns(arrival.unwrap_or_else(Instant::now));
                     frame.host = Some(if self.input.as_ref().is_none_or(VideoFile::has_times) {
-                        self.fit.map(frame.stamp.ns, arrival_ns)
+                        self.mapped(&frame, arrival_ns)
                     } else {
-                        let missing = self.arrivals.gap(arrival_ns, self.seq, &mut self.past);
-                        frame.gap = self.catching_up.lost(arrival_ns, missing);
+                        frame.gap = if self.since_start < STARTING {
+                            self.since_start += 1;
+                            0
+                        } else {
+                            let missing = self.arrivals.gap(arrival_ns, self.seq, &mut self.past);
+                            self.catching_up.lost(arrival_ns, missing)
+                        };
                         frame.stamp = Timestamp { ns: arrival_ns, clock: Clock::HostArrival };
                         HostTime { arrival_ns, stamp_ns: arrival_ns }
                     });
@@ -132,6 +166,7 @@ impl FrameSource for Stream {
             self.past.interruptions += 1;
             self.arrivals = StampWatch::new(self.name.clone(), None, 0.0);
             self.catching_up = CatchingUp::new(0.0);
+            self.since_start = 0;
         }
         Ok(None)
     }
