@@ -109,7 +109,7 @@ impl SourceArgs {
             let recording = source::open_to_track(name, SourceOptions::default()).map_err(Failure::usage)?;
             return Ok(Box::new(Paced::new(recording, clock, Arc::clone(stop))));
         }
-        if Path::new(name).exists() {
+        if name != "-" && Path::new(name).exists() {
             let advice = "is a file or folder: play it at its own pace with --realtime, or use `catoptra track`";
             return Err(Failure::usage(format!("{name}: {advice}")));
         }

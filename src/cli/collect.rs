@@ -56,7 +56,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     }
     study.cautions().iter().for_each(|text| tracing::warn!("{text}"));
     // 2. the files
-    results.take()?;
+    let _held = results.take()?;
     let mut progress = Progress::of(Some(study.runs.len() as u64), "runs", quiet);
     let frames = study.write_frames(&args.out.join(FRAMES), || progress.one_more()).map_err(failure)?;
     drop(progress);

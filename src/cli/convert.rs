@@ -35,6 +35,9 @@ enum Profile {
 }
 
 pub(super) fn run(args: &Args) -> Result<(), Failure> {
+    if args.out.as_os_str() == "-" {
+        return Err(Failure::usage("-o -: a converted log is not written to standard output; give the name of a file"));
+    }
     let target = match args.profile {
         Profile::Ros2 => Target::Ros2,
         Profile::Csv => Target::Csv,

@@ -17,6 +17,7 @@ mod flood;
 mod identify;
 mod interrupt;
 mod live;
+mod lock;
 mod log;
 mod outcome;
 mod output;

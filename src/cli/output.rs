@@ -1,5 +1,6 @@
 //! Results on stdout and in single files.
 
+use super::results::RUN;
 use super::{Exit, Failure};
 use crate::atomic_file;
 use std::io::{ErrorKind, Write as _};
@@ -33,11 +34,19 @@ pub(super) fn is_free(path: &Path, is_kind: impl Fn(&str) -> bool, kind: &str) -
     Ok(())
 }
 
+/// The name of a report in a folder of results.
+pub(super) const REPORT: &str = "report.html";
+
 /// How each page of this program begins.
 pub(super) const PAGE: &str = "<!doctype html>";
 
-/// The same for a page of this program.
+/// The same for a page of this program. The report in the folder of a run belongs to it.
 pub(super) fn is_free_for_page(path: &Path) -> Result<(), Failure> {
+    let is_report = path.file_name().is_some_and(|name| name == REPORT);
+    if is_report && path.exists() && path.with_file_name(RUN).exists() {
+        let text = format!("{}: is the report of the run in its folder; choose another name", path.display());
+        return Err(Failure::usage(text));
+    }
     is_free(path, |text| text.starts_with(PAGE), "a page")
 }
 

@@ -3,6 +3,7 @@
 //! `run.toml` in a folder says which command wrote it and of which recordings. Results of the same recordings are
 //! replaced; results of others, foreign files, and input files are never touched.
 
+use super::lock::{Lock, WRITES_RESULTS};
 use super::{Exit, Failure};
 use crate::archive::SUMMARY;
 use crate::atomic_file;
@@ -173,13 +174,15 @@ impl Results<'_> {
         earlier_run(self.folder, &self.owner(), self.files.iter().map(String::as_str))
     }
 
-    /// Makes the folder, removes the files of an earlier run of the same, and says whose it is.
+    /// Makes the folder, removes the files of an earlier run of the same, and says whose it is. It is held as long as
+    /// what is returned.
     ///
     /// # Errors
     /// As [`Results::check`]; [`Exit::Failed`] when the folder cannot be written.
-    pub(super) fn take(&self) -> Result<(), Failure> {
+    pub(super) fn take(&self) -> Result<Lock, Failure> {
         let earlier = self.earlier()?;
         fs::create_dir_all(self.folder).map_err(|e| cannot_write(self.folder, e))?;
+        let held = Lock::take(self.folder, WRITES_RESULTS)?;
         let earlier = earlier.and_then(|text| toml::from_str::<Run>(&text).ok());
         // Only plain names: files elsewhere were not written here.
         let is_name = |name: &&String| Path::new(name.as_str()).file_name().is_some_and(|only| only == name.as_str());
@@ -195,7 +198,8 @@ impl Results<'_> {
         let text =
             toml::to_string(&run).map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         let path = self.folder.join(RUN);
-        atomic_file::write(&path, origin(&text).as_bytes()).map_err(|e| cannot_write(&path, e))
+        atomic_file::write(&path, origin(&text).as_bytes()).map_err(|e| cannot_write(&path, e))?;
+        Ok(held)
     }
 }
 
@@ -230,12 +234,12 @@ mod tests {
         let first = results(&folder, &a, &["model.json", "orders.csv"]);
         first.check().unwrap();
         assert!(!folder.exists());
-        first.take().unwrap();
+        first.take().map(drop).unwrap();
         fs::write(folder.join("orders.csv"), "old").unwrap();
         fs::write(folder.join("notes.txt"), "mine").unwrap();
         let other = results(&folder, &b, &["model.json"]).check().unwrap_err();
         assert!(other.exit() == Exit::Usage && other.to_string().contains("a.csv"), "{other}");
-        results(&folder, &a, &["model.json"]).take().unwrap();
+        results(&folder, &a, &["model.json"]).take().map(drop).unwrap();
         assert!(!folder.join("orders.csv").exists() && folder.join("notes.txt").exists());
     }
 

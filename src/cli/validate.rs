@@ -178,7 +178,7 @@ impl Args {
 
     fn write(&self, validation: &Validation, json: &str, line: Option<&ModelLine>) -> Result<(), Failure> {
         let folder = &self.out;
-        self.results().take()?;
+        let _held = self.results().take()?;
         let save = |name: &str, text: &str| -> Result<(), Failure> {
             let place = folder.join(name);
             output::save(&place, text)?;

@@ -12,6 +12,7 @@ use crate::track::coil::deflection;
 use crate::track::copied::Copied;
 use crate::track::denoised::Denoised;
 use crate::track::diameter::Diameter;
+use crate::track::exposure::LongExposure;
 use crate::track::fields::Fields;
 use crate::track::find::{Finder, Found};
 use crate::track::fit::{TubeFit, ViewFit};
@@ -38,8 +39,8 @@ use crate::track::slip::Seen;
 use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::{ShapeStep, TubeShape};
 use crate::track::warnings::{
-    BLENDED, COLOURS_LAG, COPIED, DENOISED, FRINGES, LAMP_CHANGED, MOVED, OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER,
-    PAIRED_CHROMA, SHAKES, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
+    BLENDED, COLOURS_LAG, COPIED, DENOISED, FRINGES, LAMP_CHANGED, LONG_EXPOSURE, MOVED, OTHER_TUBE, OUT_OF_FOCUS,
+    OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
 };
 use crate::track::ways::Ways;
 use nalgebra::{Matrix3, Vector2};
@@ -113,6 +114,7 @@ pub struct Tracker {
     grain: Grain,
     fields: Fields,
     fringes: Fringes,
+    exposure: LongExposure,
     rolling: Option<Rolling>,
     diameter: Diameter,
     /// What was warned of.
@@ -160,6 +162,7 @@ impl Tracker {
             grain: Grain::default(),
             fields: Fields::default(),
             fringes: Fringes::of(rig),
+            exposure: LongExposure::of(rig.camera.exposure_s),
             rolling: Rolling::of(rig),
             diameter: Diameter::of(rig),
             warned: Vec::new(),
@@ -187,7 +190,9 @@ impl Tracker {
     /// Only the measurement, for which somebody may be waiting. What later frames need from it is to be learned before
     /// the next one.
     pub(crate) fn measure(&mut self, frame: &Frame) -> Result<(Estimate, Option<Measured>), TrackError> {
-        self.latest = Some((frame.seq, frame.stamp));
+        if let Some((_, before)) = self.latest.replace((frame.seq, frame.stamp)) {
+            self.exposure.add(frame.stamp, before);
+        }
         let picture = &frame.picture;
         if picture.size_px() != self.rig.camera.size_px {
             return Err(TrackError::Size { found: picture.size_px(), expected: self.rig.camera.size_px });
@@ -301,6 +306,7 @@ impl Tracker {
             (self.order.is_wrong(), OUT_OF_ORDER),
             (self.fields.are_woven(), WOVEN),
             (self.fringes.are_seen(), FRINGES),
+            (self.exposure.is_seen(), LONG_EXPOSURE),
             (self.lamp.as_ref().is_some_and(Lamp::has_changed), LAMP_CHANGED),
             (diameter.is_some(), OTHER_TUBE),
         ];

@@ -10,6 +10,17 @@ pub enum MarkersError {
     /// The recording failed.
     #[error(transparent)]
     Source(#[from] SourceError),
+    /// The exposure that was stated is longer than a frame.
+    #[error(
+        "an exposure of {exposure_ms:.3} ms is longer than the time from frame to frame, {interval_ms:.3} ms: state it \
+         with its unit, as --exposure 8.5ms, or correct `exposure_ms` in the rig"
+    )]
+    Exposure {
+        /// As stated.
+        exposure_ms: f64,
+        /// From a frame to the next, at least.
+        interval_ms: f64,
+    },
     /// No frame at all.
     #[error("the recording has no frame")]
     NoFrame,

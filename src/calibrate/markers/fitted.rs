@@ -7,7 +7,7 @@ use crate::calibrate::markers::{MarkersError, track, view_blurs};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
 use crate::rig::{Camera, Marker, Rig};
-use crate::source::{Frame, Picture};
+use crate::source::{Frame, Picture, Timestamp};
 use crate::track::curve::mean_with_sd;
 use crate::track::{TrackOptions, Tracker};
 
@@ -30,6 +30,8 @@ const EXPOSURES: usize = 9;
 const EXPOSURE_PAIRS: usize = 24;
 const MIN_EXPOSURE_SDS: f64 = 3.0;
 const MIN_EXPOSURE: f64 = 0.1;
+/// A stated one lasts at most for a frame, give or take what stamps are off.
+const LONGEST_EXPOSURE: f64 = 1.1;
 /// Where the search for blur begins, and its step, pixels.
 const FIRST_BLUR_PX: f64 = 0.6;
 const BLUR_STEP_PX: f64 = 0.1;
@@ -215,6 +217,11 @@ pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> 
 /// Blur, chroma offset, gamma and, unless it is stated, exposure; returns σ of each view's blur, pixels. A wrong gamma
 /// and motion both look like blur: once they are known, blur is fitted again.
 pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
+    if let (Some(exposure_s), Some(interval_s)) = (rig.camera.exposure_s, interval_s(frames, followers)) {
+        if exposure_s > LONGEST_EXPOSURE * interval_s {
+            return Err(MarkersError::Exposure { exposure_ms: exposure_s * 1e3, interval_ms: interval_s * 1e3 });
+        }
+    }
     let reach = chroma_is_as_sampled(rig, frames);
     sharpen(rig, frames, followers, reach);
     rig.camera.gamma = gamma(rig, frames, followers);
@@ -308,6 +315,14 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame], reach: bool) {
     rig.camera.chroma_offset_px = rig.camera.chroma_offset_px.map(round);
     rig.camera.chroma_reach = rig.camera.chroma_reach.map(round);
     rig.camera.colour_offset_px = rig.camera.colour_offset_px.map(round);
+}
+
+/// The shortest time from a frame to another, seconds.
+fn interval_s(frames: &[Frame], followers: &[Frame]) -> Option<f64> {
+    let mut stamps: Vec<Timestamp> = frames.iter().chain(followers).map(|frame| frame.stamp).collect();
+    stamps.sort_by_key(|stamp| stamp.ns);
+    let steps = stamps.windows(2).filter_map(|pair| Some(pair.get(1)?.seconds_since(*pair.first()?)));
+    steps.filter(|step_s| *step_s > 0.0).min_by(f64::total_cmp)
 }
 
 /// Exposure of the pictures, seconds, from the motion blur of the frames in which the tube moves fastest; `None` when

@@ -7,6 +7,7 @@ mod mirror;
 mod pictures;
 mod rig;
 
+use super::lock::Lock;
 use super::outcome::{self, HiddenJson, Outcome};
 use super::results::may_write_in;
 use super::{Exit, Failure, interrupt, output};
@@ -16,6 +17,9 @@ use crate::rig::{Draft, Rig};
 use clap::Subcommand;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+
+/// What another process may be doing with a rig file. What it finds would be lost: all of the file is written anew.
+const CALIBRATES: &str = "calibrates this rig; wait until it is done";
 
 /// Arguments of `catoptra calibrate`.
 #[derive(Debug, clap::Args)]
@@ -92,23 +96,37 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 
 fn calibrate(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> {
     let print = |text: &str| outcome.print(text);
-    let (ended, rig) = match &args.command {
-        Command::Camera(args) => (camera::run(args, quiet, print), &args.out),
-        Command::Rig(args) => (rig::run(args, quiet, print), args.out()),
-        Command::Markers(args) => (markers::run(args, print), args.out()),
-        Command::Base(args) => (base::run(args, quiet, print), args.out()),
-        Command::Mirror(args) => (mirror::run(args, print), args.out()),
+    let _held = Lock::take(out(&args.command), CALIBRATES)?;
+    let ended = match &args.command {
+        Command::Camera(args) => camera::run(args, quiet, print),
+        Command::Rig(args) => rig::run(args, quiet, print),
+        Command::Markers(args) => markers::run(args, print),
+        Command::Base(args) => base::run(args, quiet, print),
+        Command::Mirror(args) => mirror::run(args, print),
     };
     if ended.is_ok() {
         // As it is now, with the provenance of every number.
-        outcome.found_in(rig, |text| Ok(serde_json::to_value(text.parse::<toml::Table>()?)?))?;
+        outcome.found_in(out(&args.command), |text| Ok(serde_json::to_value(text.parse::<toml::Table>()?)?))?;
     }
     ended
 }
 
+/// The rig file that is written.
+fn out(command: &Command) -> &Path {
+    match command {
+        Command::Camera(args) => &args.out,
+        Command::Rig(args) => args.out(),
+        Command::Markers(args) => args.out(),
+        Command::Base(args) => args.out(),
+        Command::Mirror(args) => args.out(),
+    }
+}
+
 /// `catoptra calibrate markers` with these arguments; its output goes to `print`.
 pub(in crate::cli) fn teach(arguments: &[String], print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
-    markers::run(&parsed(arguments)?, print)
+    let args: markers::MarkersArgs = parsed(arguments)?;
+    let _held = Lock::take(args.out(), CALIBRATES)?;
+    markers::run(&args, print)
 }
 
 /// The rig with the bands of these arguments, before anything is learned.
@@ -118,7 +136,9 @@ pub(in crate::cli) fn rig_to_teach(arguments: &[String]) -> Result<Rig, Failure>
 
 /// `catoptra calibrate rig` with these arguments; its output goes to `print`.
 pub(in crate::cli) fn rig(arguments: &[String], print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
-    rig::run(&parsed(arguments)?, true, print)
+    let args: rig::RigArgs = parsed(arguments)?;
+    let _held = Lock::take(args.out(), CALIBRATES)?;
+    rig::run(&args, true, print)
 }
 
 /// The initial rig file of these arguments, and the options that they set.

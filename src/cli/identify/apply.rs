@@ -32,7 +32,7 @@ pub(super) fn run(
     }
     let written = {
         let _whole = interrupt::wait();
-        args.results().take()?;
+        let _held = args.results().take()?;
         let mut written = export::write_applied(&args.out, data, &done, &saved, provenance)
             .map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join(REPORT);

@@ -49,7 +49,7 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
     // 3. files
     let written = {
         let _whole = interrupt::wait();
-        results.take()?;
+        let _held = results.take()?;
         let mut written =
             export::write(&args.out, &data, &done, &provenance).map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join(args::REPORT);

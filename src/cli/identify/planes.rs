@@ -43,7 +43,7 @@ pub(super) fn run(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
     let all: Vec<&Motion> = records.iter().collect();
     let written = {
         let _whole = interrupt::wait();
-        args.results().take()?;
+        let _held = args.results().take()?;
         let json = found.json(&coils).map_err(|e| Failure::new(Exit::Failed, e))?;
         let texts = [json, found.response_csv(&coils), found.signals_csv(&all)];
         let mut written = Vec::new();

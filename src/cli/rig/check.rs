@@ -28,7 +28,7 @@ pub(super) fn run(file: &Path, recording: Option<&Path>, quiet: bool) -> Result<
         output::print(&at_the_catheter(file, &rig, recording, quiet)?)?;
     }
     if let Err(one_view) = two_views(file, &rig.views) {
-        return Err(Failure::new(Exit::Unusable, one_view.to_string()));
+        return Err(Failure::new(Exit::Unusable, one_view.message()));
     }
     if checked.usable() {
         return Ok(());

@@ -5,6 +5,8 @@
 //! beside a new log would be misleading). Results of another recording, and files of other origin, are never touched:
 //! the run is refused before any work.
 
+use super::super::lock::{Lock, WRITES_RESULTS};
+use super::super::output::REPORT;
 use super::super::results::{self, Owner, RUN, whole_path};
 use super::super::{Exit, Failure};
 use super::options::Record;
@@ -18,7 +20,6 @@ use std::fs;
 use std::io::{self, ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 
-const REPORT: &str = "report.html";
 const OVERLAY: &str = "overlay.mp4";
 /// The video of the pictures.
 pub(in crate::cli) const PICTURES: &str = "pictures.mkv";
@@ -141,7 +142,7 @@ impl Files {
     /// # Errors
     /// [`Exit::Usage`] when something exists that must not be replaced, [`Exit::Failed`] when the folder cannot be
     /// written, or another process is writing there.
-    pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<FolderLock, Failure> {
+    pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<Lock, Failure> {
         let places = self.all().map(PathBuf::as_path).filter(|path| *path != Path::new(STDOUT));
         results::refuse_to_overwrite_inputs(places, inputs)?;
         if inputs.iter().any(|input| input.is_dir() && results::whole_path(input) == results::whole_path(&self.folder))
@@ -149,13 +150,13 @@ impl Files {
             let folder = self.folder.display();
             return Err(Failure::usage(format!("{folder}: is the recording itself; choose another folder with -o")));
         }
-        self.places_are_free()?;
         let earlier = self.earlier_run(run)?;
+        self.places_are_free(earlier.is_some())?;
         let cannot = |path: &Path, e: io::Error| {
             Failure::because(Exit::Failed, format!("cannot write to the output folder {}: {e}", path.display()), e)
         };
         fs::create_dir_all(&self.folder).map_err(|e| cannot(&self.folder, e))?;
-        let held = FolderLock::take(&self.folder)?;
+        let held = Lock::take(&self.folder, WRITES_RESULTS)?;
         for path in self.partial_files().map_err(|e| cannot(&self.folder, e))? {
             fs::remove_file(&path).map_err(|e| cannot(&path, e))?;
         }
@@ -247,7 +248,7 @@ impl Files {
     ///
     /// # Errors
     /// As [`Files::prepare`].
-    pub(in crate::cli) fn prepare_new(&self, run: &Run, inputs: &[&Path]) -> Result<FolderLock, Failure> {
+    pub(in crate::cli) fn prepare_new(&self, run: &Run, inputs: &[&Path]) -> Result<Lock, Failure> {
         if let Some(there) = ALL.iter().find(|name| self.folder.join(name).exists()) {
             let text =
                 format!("{}: has a {there} of an earlier run; choose another folder with -o", self.folder.display());
@@ -256,8 +257,8 @@ impl Files {
         self.prepare(run, inputs)
     }
 
-    /// Refuses a folder that is a file, and a table that would replace another file.
-    fn places_are_free(&self) -> Result<(), Failure> {
+    /// Refuses a folder that is a file, and a table that would replace another file, unless a run is done `again`.
+    fn places_are_free(&self, again: bool) -> Result<(), Failure> {
         let refused = |text: String| Err(Failure::usage(text));
         if self.folder.exists() && !self.folder.is_dir() {
             return refused(format!("{}: is a file; choose a folder with -o", self.folder.display()));
@@ -275,8 +276,19 @@ impl Files {
             return refused(format!("{table}: is a folder; give the name of a file with --csv"));
         }
         // Something other than a regular file, such as /dev/stdout, cannot be lost.
-        if self.table != self.folder.join(TABLE_FILE) && self.table.is_file() && !is_table(&self.table) {
-            return refused(format!("{table}: exists and is not a table of this command; choose another with --csv"));
+        if self.table != self.folder.join(TABLE_FILE) && self.table.is_file() {
+            if !is_table(&self.table) {
+                return refused(format!(
+                    "{table}: exists and is not a table of this command; choose another with --csv"
+                ));
+            }
+            if !again {
+                return refused(format!(
+                    "{table}: exists, and nothing in {} says that it is an earlier table of this recording; choose \
+                     another with --csv, or move it away",
+                    self.folder.display()
+                ));
+            }
         }
         if is_of_another_run(&self.table, &self.folder) {
             return refused(format!("{table}: is in the folder of another run; choose another with --csv"));
@@ -291,39 +303,6 @@ impl Files {
         let earlier = toml::from_str(&text)
             .map_err(|e| Failure::usage(format!("{}: {}", self.folder.join(RUN).display(), e.message())))?;
         Ok(Some(earlier))
-    }
-}
-
-/// A lock on a folder against other processes of this program.
-#[derive(Debug)]
-#[must_use = "the folder is held as long as this lives"]
-pub(in crate::cli) struct FolderLock(
-    #[cfg(unix)]
-    #[allow(dead_code, reason = "closing it gives the folder free")]
-    Option<fs::File>,
-);
-
-impl FolderLock {
-    /// Two runs in one folder would write into each other's files: one that a scheduler has abandoned may still be
-    /// running.
-    #[cfg(unix)]
-    fn take(folder: &Path) -> Result<Self, Failure> {
-        use rustix::fs::{FlockOperation, flock};
-        let Ok(open) = fs::File::open(folder) else { return Ok(Self(None)) };
-        match flock(&open, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => Ok(Self(Some(open))),
-            Err(error) if error == rustix::io::Errno::WOULDBLOCK => {
-                let text = format!("{}: another process is writing results there", folder.display());
-                Err(Failure::because(Exit::Failed, text, io::Error::from(error)))
-            }
-            // Not supported by all file systems.
-            Err(_) => Ok(Self(None)),
-        }
-    }
-
-    #[cfg(not(unix))]
-    fn take(_: &Path) -> Result<Self, Failure> {
-        Ok(Self())
     }
 }
 

@@ -1,7 +1,8 @@
 //! One recording: from the first look at it to its summary.
 
+use super::super::lock::Lock;
 use super::super::results::{unique_text, whole_path};
-use super::super::run::folder::{Files, FolderLock, Run};
+use super::super::run::folder::{Files, Run};
 use super::super::run::{Logged, load_rig, open_sinks, rig_of_log, rig_warnings, summary, verdict};
 use super::super::warned::Work;
 use super::super::{Exit, Failure, fitting};
@@ -108,7 +109,7 @@ impl Request<'_> {
     ///
     /// # Errors
     /// As [`Files::prepare`].
-    pub(super) fn prepare(&self) -> Result<FolderLock, Failure> {
+    pub(super) fn prepare(&self) -> Result<Lock, Failure> {
         self.files.prepare(&self.described(), &[self.source, &self.rig.file])
     }
 

@@ -61,8 +61,11 @@ impl FromStr for RegionArg {
     }
 }
 
-/// Parses a plausible exposure.
+/// Parses a plausible exposure. Cameras state milliseconds and other times here are in seconds: it needs its unit.
 pub(super) fn exposure_s(text: &str) -> Result<f64, String> {
+    if text.parse::<f64>().is_ok() {
+        return Err(format!("`{text}`: which unit? Write for example 8.5ms"));
+    }
     duration_s(text).and_then(|s| match s > 0.0 && s <= 1.0 {
         true => Ok(s),
         false => Err(format!("`{text}`: expected more than 0 s and at most 1 s")),
