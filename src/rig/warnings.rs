@@ -19,6 +19,8 @@ const LEAST_TUBE_PX: f64 = 4.0;
 const FOCAL: std::ops::RangeInclusive<f64> = 0.2..=50.0;
 /// The base band is no further from where the views look, metres: a catheter is shorter.
 const FARTHEST_BASE_M: f64 = 0.3;
+/// Score by a band's planes beyond which a colour is the band's: 1 on average on the band, 0 on what it was told from.
+const SAME_COLOUR: f64 = 0.5;
 /// Ratio of both, of pixels that are square or nearly so.
 const SQUARE: std::ops::RangeInclusive<f64> = 0.92..=1.087;
 
@@ -124,6 +126,13 @@ pub enum Warning {
     NoColour {
         /// Their names.
         markers: Vec<String>,
+    },
+    /// Two markers of which each has the other's colour.
+    SameColour {
+        /// Their names.
+        markers: [String; 2],
+        /// A view in which they do.
+        view: String,
     },
     /// Markers whose place along the tube is not known.
     NoPlace {
@@ -234,6 +243,11 @@ impl fmt::Display for Warning {
             Self::NoColour { markers } => {
                 write!(f, "no colour learned for {}: run `catoptra calibrate markers`", markers.join(", "))
             }
+            Self::SameColour { markers: [a, b], view } => write!(
+                f,
+                "{a} and {b} have the same colour in view {view}: each may be taken for the other, with a small σ; \
+                 paint one of them in another colour, and run `catoptra calibrate markers`"
+            ),
             Self::NoPlace { markers } => {
                 write!(
                     f,
@@ -315,6 +329,7 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
         (!markers.is_empty()).then_some(markers)
     };
     found.extend(named(|m| m.colours.is_empty()).map(|markers| Warning::NoColour { markers }));
+    found.extend(same_colours(rig));
     found.extend(named(|m| m.centre_m.is_none()).map(|markers| Warning::NoPlace { markers }));
     // Parts that come with or after the markers are not missing before them.
     let begun = !rig.markers.is_empty();
@@ -423,6 +438,18 @@ fn regions(rig: &Draft) -> Vec<Warning> {
         }
     }
     found
+}
+
+/// Pairs of markers that cannot be told apart in a view by their colours, in one view each.
+fn same_colours(rig: &Draft) -> impl Iterator<Item = Warning> {
+    let pairs = rig.markers.iter().enumerate().flat_map(|(i, a)| rig.markers.iter().skip(i + 1).map(move |b| (a, b)));
+    pairs.filter_map(|(a, b)| {
+        let view = rig.views.iter().enumerate().find(|(view, _)| {
+            let colours = a.colour(*view).zip(b.colour(*view));
+            colours.is_some_and(|(a, b)| a.score(&b.rgb) > SAME_COLOUR && b.score(&a.rgb) > SAME_COLOUR)
+        })?;
+        Some(Warning::SameColour { markers: [a.name.clone(), b.name.clone()], view: view.1.name.clone() })
+    })
 }
 
 /// Whether the base band at rest can be where the base frame's origin is.

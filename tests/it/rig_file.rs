@@ -431,6 +431,20 @@ fn light_paths_by_hand() {
 }
 
 #[test]
+fn bands_of_one_colour_are_told() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml");
+    let mut rig = Draft::load(&path).unwrap();
+    let same = |rig: &Draft| {
+        let warnings = check(rig).unwrap().warnings;
+        warnings.iter().filter(|w| matches!(w, Warning::SameColour { .. })).map(ToString::to_string).collect::<Vec<_>>()
+    };
+    assert_eq!(same(&rig), Vec::<String>::new());
+    rig.markers[2].colours = rig.markers[0].colours.clone();
+    let said = same(&rig);
+    assert!(matches!(said.as_slice(), [said] if said.starts_with("base and tip have the same colour in view direct")));
+}
+
+#[test]
 fn warnings_say_what_is_missing_or_odd() {
     let warned = |text: &str| -> Vec<String> {
         check(&read(text).unwrap().into()).unwrap().warnings.iter().map(ToString::to_string).collect()

@@ -677,7 +677,8 @@ pub(super) mod tests {
             }
             println!("uneven by {uneven}: z RMS {:.2}, of the print {:.2}", squares.sqrt(), of_print.sqrt());
             assert!((0.7..1.3).contains(&squares.sqrt()), "uneven by {uneven}: {squares}");
-            assert!(of_print.sqrt() < 1.4, "uneven by {uneven}: {of_print}");
+            // Of single kinds: hardly visible ones are believed to be even.
+            assert!(of_print.sqrt() < 1.7, "uneven by {uneven}: {of_print}");
         }
     }
 }

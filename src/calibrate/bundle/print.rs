@@ -30,8 +30,8 @@ type Kind = (f64, f64);
 /// in fifty by up to a whole one. Skew is rarer, and less.
 const STRETCHED: [Kind; 5] = [(1e-3, 0.5), (0.03, 0.16), (0.1, 0.16), (0.3, 0.16), (1.0, 0.02)];
 const SKEWED: [Kind; 5] = [(1e-3, 0.8), (0.03, 0.07), (0.1, 0.07), (0.3, 0.05), (1.0, 0.01)];
-/// Many are even to a few hundred thousandths of their half width, the others shift corners by up to a thousandth.
-const UNEVEN: [Kind; 4] = [(0.03, 0.4), (0.1, 0.3), (0.3, 0.2), (1.0, 0.1)];
+/// Half are even to a hundred thousandth of their half width, the others shift corners by up to a thousandth.
+const UNEVEN: [Kind; 4] = [(0.01, 0.5), (0.1, 0.2), (0.3, 0.2), (1.0, 0.1)];
 
 /// Times that every parameter is judged.
 const SWEEPS: usize = 5;

@@ -217,10 +217,10 @@ pub(super) fn lengths_m(rig: &Rig, frames: &[Frame]) -> Vec<Option<(f64, f64)>> 
 /// Blur, chroma offset, gamma and, unless it is stated, exposure; returns σ of each view's blur, pixels. A wrong gamma
 /// and motion both look like blur: once they are known, blur is fitted again.
 pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
-    if let (Some(exposure_s), Some(interval_s)) = (rig.camera.exposure_s, interval_s(frames, followers)) {
-        if exposure_s > LONGEST_EXPOSURE * interval_s {
-            return Err(MarkersError::Exposure { exposure_ms: exposure_s * 1e3, interval_ms: interval_s * 1e3 });
-        }
+    if let (Some(exposure_s), Some(interval_s)) = (rig.camera.exposure_s, interval_s(frames, followers))
+        && exposure_s > LONGEST_EXPOSURE * interval_s
+    {
+        return Err(MarkersError::Exposure { exposure_ms: exposure_s * 1e3, interval_ms: interval_s * 1e3 });
     }
     let reach = chroma_is_as_sampled(rig, frames);
     sharpen(rig, frames, followers, reach);

@@ -382,6 +382,12 @@ mod tests {
         let refused = files.prepare(&run("/a.mkv"), &[]).unwrap_err();
         assert_eq!(refused.exit(), Exit::Usage);
         assert!(refused.to_string().contains("table.csv") && !files.folder.exists(), "{refused}");
+        // A table that nothing says to be of this recording, and then one that is.
+        fs::write(&table, "seq,t_s,stamp_ns\r\n").unwrap();
+        let refused = files.prepare(&run("/a.mkv"), &[]).unwrap_err();
+        assert!(refused.to_string().contains("nothing in") && !files.folder.exists(), "{refused}");
+        fs::remove_file(&table).unwrap();
+        drop(files.prepare(&run("/a.mkv"), &[]).unwrap());
         fs::write(&table, "seq,t_s,stamp_ns\r\n").unwrap();
         drop(files.prepare(&run("/a.mkv"), &[]).unwrap());
         // A folder with a run, which may still be running, keeps its table.
