@@ -32,10 +32,11 @@ fn leaves(key: String, value: &Value, to: &mut Vec<(String, Value)>) {
 /// twentieth of σ of the calibration, or what no measurement notices. `None`: no number that means something by itself.
 fn tolerance(key: &str) -> Option<f64> {
     // The first that fits counts.
-    const BY_KEY: [(&str, f64); 31] = [
+    const BY_KEY: [(&str, f64); 32] = [
         ("sd_by_noise", 0.1),
         ("board_bend_mm", 0.02),
         ("board_stretch", 1e-4),
+        ("board_uneven_mm", 0.005),
         ("camera.gamma", 0.02),
         ("usual_residuals", 0.1),
         ("volume_mm", 0.5),
