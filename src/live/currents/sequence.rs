@@ -1,8 +1,10 @@
 //! Samples of currents that were lost on their way, came twice, or in another order, by the numbers that their sender
 //! gives them.
 
-/// A sample this much earlier than the latest is of a sender that began anew.
+/// A sample this much earlier than the latest is of a sender that began anew, and the first one if it is later than
+/// datagrams overtake each other.
 const RESTART: u64 = 1000;
+const OVERTAKEN: u64 = 16;
 
 /// Counts of samples with numbers.
 #[derive(Debug, Default)]
@@ -26,7 +28,7 @@ impl Sequence {
                 format!("samples of currents are missing: number {seq} came after {latest}; more are counted")
             });
         }
-        if latest - seq > RESTART || (seq == 0 && latest > 0) {
+        if latest - seq > RESTART || (seq == 0 && latest > OVERTAKEN) {
             self.restarts += 1;
             let said = format!("the numbers of samples begin anew, {seq} after {latest}: the sender was started again");
             return (self.restarts == 1).then_some(said);
