@@ -662,6 +662,7 @@ pub(super) mod tests {
                 let mut bundle = bundle(&truth, 0.05, 1.0, 900 + seed);
                 let mut random = gaussian(1900 + seed);
                 let mut step = [0.0; shape::PARAMETERS];
+                bundle.shape = bundle.shape.that_may_be_uneven();
                 step[shape::UNEVEN_TERMS].fill_with(|| uneven * bundle.shape.half_m() * random());
                 let shape = bundle.shape.stepped(&step);
                 show(&mut bundle, &truth, &shape);

@@ -68,15 +68,20 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// A flat board with these corners, its centre at the origin.
+    /// A flat board with these corners, its centre at the origin, and an even print.
     pub fn flat<'a>(places: impl IntoIterator<Item = &'a Point3<f64>>) -> Self {
         let most = |[x, y]: [f64; 2], p: &Point3<f64>| [x.max(p.x.abs()), y.max(p.y.abs())];
-        Self { half_m: places.into_iter().fold([0.0; 2], most), parameters: [0.0; PARAMETERS], even: false }
+        Self { half_m: places.into_iter().fold([0.0; 2], most), parameters: [0.0; PARAMETERS], even: true }
     }
 
-    /// The same, with a print that is taken to be even, or not.
-    pub(crate) fn with_even_print(self, even: bool) -> Self {
-        Self { even, ..self }
+    /// The same, with a print that may be uneven.
+    pub(crate) fn that_may_be_uneven(self) -> Self {
+        Self { even: false, ..self }
+    }
+
+    /// Whether its print is taken to be even.
+    pub fn is_even(&self) -> bool {
+        self.even
     }
 
     /// A rigid set of points, without a bend.

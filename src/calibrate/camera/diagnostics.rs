@@ -8,7 +8,7 @@ use crate::calibrate::bundle::shape::UNEVEN_TERMS;
 use crate::calibrate::least_squares::sigmas;
 use crate::optics::{Lens, corners};
 use crate::whitening::chi_square;
-use nalgebra::{DVector, Point2, Vector2};
+use nalgebra::{DMatrix, DVector, Point2, Vector2};
 
 /// What to do about a lens that needs another model.
 fn advice(model: Model) -> &'static str {
@@ -148,6 +148,12 @@ pub enum CameraDiagnostic {
     },
 }
 
+/// How many σ some terms of the board's shape are from zero; `first`: index of the first of them.
+pub(super) fn significance(terms: &[f64], covariance: &DMatrix<f64>, first: usize) -> f64 {
+    let covariance = covariance.view((first, first), (terms.len(), terms.len())).into_owned();
+    chi_square(&DVector::from_row_slice(terms), covariance).map_or(0.0, |chi2| sigmas(chi2, terms.len()))
+}
+
 /// Those that follow from the result itself; `places`: the board's corners, with the centre at the origin.
 pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>]) -> Vec<CameraDiagnostic> {
     let mut all = Vec::new();
@@ -173,16 +179,12 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     if stretch.abs() > STRETCH_REPORTED.0 * sd && stretch.abs() > STRETCH_REPORTED.1 {
         all.push(CameraDiagnostic::Stretched { percent: 100.0 * stretch, sd_percent: 100.0 * sd });
     }
-    let from_zero = |terms: &[f64], first: usize| {
-        let covariance = done.shape_covariance.view((first, first), (terms.len(), terms.len())).into_owned();
-        chi_square(&DVector::from_row_slice(terms), covariance).map_or(0.0, |chi2| sigmas(chi2, terms.len()))
-    };
     let (shifted_m, half_m) = (done.shape.unevenness_m(places), done.shape.half_m());
-    let sigmas = from_zero(done.shape.uneven_m(), UNEVEN_TERMS.start);
+    let sigmas = significance(done.shape.uneven_m(), &done.shape_covariance, UNEVEN_TERMS.start);
     if sigmas > UNEVEN_REPORTED.0 && shifted_m > UNEVEN_REPORTED.1 * half_m {
         all.push(CameraDiagnostic::Uneven { shifted_mm: shifted_m * 1e3, sigmas });
     }
-    let (sag_m, sigmas) = (done.shape.sag_m(places), from_zero(done.shape.bend_m(), 0));
+    let (sag_m, sigmas) = (done.shape.sag_m(places), significance(done.shape.bend_m(), &done.shape_covariance, 0));
     if sigmas > BEND_REPORTED.0 && sag_m > BEND_REPORTED.1 * half_m {
         all.push(CameraDiagnostic::Bent { sag_mm: sag_m * 1e3, percent: 50.0 * sag_m / half_m, sigmas });
     }

@@ -47,7 +47,7 @@ fn solved_with(board: &Board, pictures: &[BoardPicture], all: &CameraCalibration
             .map(|(picture, i, pixel)| Corner { picture, view: 0, place: places[i], pixel, relative_sd: 1.0 })
             .collect(),
         known: Vec::new(),
-        shape: Shape::flat(&places),
+        shape: if all.shape.is_even() { Shape::flat(&places) } else { Shape::flat(&places).that_may_be_uneven() },
     }
     .solve()
     .unwrap()

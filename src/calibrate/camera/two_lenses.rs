@@ -217,7 +217,7 @@ fn shared_shape(solved: &Solution, corners: &[Corner], (groups, [a, b]): &Apart)
     for corner in bundle.corners.iter_mut().filter(|corner| groups[1].contains(&corner.picture)) {
         corner.pixel = a.geometry.lens.distort(&b.geometry.lens.undistort(&corner.pixel)?);
     }
-    bundle.shape = bundle.shape.with_even_print(false);
+    bundle.shape = bundle.shape.that_may_be_uneven();
     Some(bundle.solve().ok()?.shape)
 }
 

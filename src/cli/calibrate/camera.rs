@@ -123,12 +123,15 @@ fn describe(board: &Board, searched: &[SearchedPicture], done: &CameraCalibratio
     text += "σ: how much the lens changes from picture to picture; noise: of single corners; model: what the corners \
              of a picture share (board, print, blur, lens model)\n";
     let places = board.centred_points();
-    let (sag_mm, shifted_mm, sd) =
-        (done.shape.sag_m(&places) * 1e3, done.shape.unevenness_m(&places) * 1e3, done.stretch_sd());
+    let (sag_mm, sd) = (done.shape.sag_m(&places) * 1e3, done.stretch_sd());
+    let evenness = match done.shape.is_even() {
+        true => "is even as far as these pictures tell".to_owned(),
+        false => format!("has corners up to {:.3} mm from even rows", done.shape.unevenness_m(&places) * 1e3),
+    };
     let _ = writeln!(
         text,
-        "board: {sag_mm:.2} mm from its highest to its lowest place; its print is longer along rows than along columns \
-         by {:.2} ± {:.2} %, and its corners are up to {shifted_mm:.3} mm from even rows and columns",
+        "board: {sag_mm:.2} mm from its highest to its lowest place; its print {evenness}, and is longer along rows than \
+         along columns by {:.2} ± {:.2} %",
         100.0 * done.shape.stretch(),
         100.0 * sd
     );
