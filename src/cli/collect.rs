@@ -1,5 +1,6 @@
 //! `catoptra collect`: the runs of an archive to tables and a page.
 
+use super::output::REPORT;
 use super::progress::Progress;
 use super::results::Results;
 use super::{Exit, Failure, interrupt, output, provenance};
@@ -24,7 +25,6 @@ pub(crate) struct Args {
 
 const FRAMES: &str = "frames.parquet";
 const RUNS: &str = "runs.parquet";
-const REPORT: &str = "report.html";
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;

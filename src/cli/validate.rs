@@ -1,6 +1,7 @@
 //! `catoptra validate`: tracked runs along a desired path, to errors and response at each speed.
 
 use super::outcome::{self, Json, Outcome};
+use super::output::REPORT;
 use super::results::{Results, unfinished};
 use super::units::{duration_s, seconds_ns};
 use super::{Exit, Failure, interrupt, output, provenance};
@@ -75,7 +76,6 @@ enum InterpolationArg {
 const TABLE: &str = "validation.csv";
 const TABLE_2: &str = "table.md";
 const RESULT: &str = "validation.json";
-const REPORT: &str = "report.html";
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;

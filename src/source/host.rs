@@ -131,8 +131,11 @@ impl ClockFit {
     pub fn is_late(&self) -> Option<i64> {
         // The last bin is not over yet.
         let recent = self.least.iter().rev().skip(1).take(LATE_BINS);
-        let late = recent.map(|(at, offset)| Some(offset.saturating_sub(self.offset_at(*at)?)));
-        let least = late.collect::<Option<Vec<i64>>>().filter(|late| late.len() == LATE_BINS)?.into_iter().min()?;
+        if recent.len() < LATE_BINS {
+            return None;
+        }
+        let edge = self.edge()?;
+        let least = recent.map(|(at, offset)| offset.saturating_sub(on(edge, *at))).min()?;
         (least > LATE_NS).then_some(least)
     }
 
@@ -164,9 +167,7 @@ impl ClockFit {
     }
 
     fn offset_at(&self, stamp_ns: i64) -> Option<i64> {
-        let (from, to) = self.edge()?;
-        let beyond = (slope(from, to) * stamp_ns.saturating_sub(from.0) as f64).round();
-        Some(from.1.saturating_add(beyond as i64))
+        Some(on(self.edge()?, stamp_ns))
     }
 
     /// Two points of the line; the same one twice while the drift is unknown.
@@ -193,6 +194,12 @@ impl ClockFit {
         })?;
         (slope(edge.0, edge.1).abs() <= MAX_DRIFT).then_some(edge).or(Some((last, last)))
     }
+}
+
+/// The offset at a stamp on the line through two points.
+fn on((from, to): ((i64, i64), (i64, i64)), stamp_ns: i64) -> i64 {
+    let beyond = (slope(from, to) * stamp_ns.saturating_sub(from.0) as f64).round();
+    from.1.saturating_add(beyond as i64)
 }
 
 fn slope(from: (i64, i64), to: (i64, i64)) -> f64 {

@@ -201,7 +201,7 @@ fn add_samples(sums: &mut ColourSums, part: &Part<'_>, [red, blue]: [&[Row]; 2])
 mod tests {
     use super::*;
 
-    /// Of two ways one remains; the other's information is what rounding left of it, and its pull an error of the model.
+    /// Of two ways one remains; the other's information is what rounding left of it, its pull an error of the model.
     #[test]
     fn what_hardly_remains_tells_nothing() {
         let whole = DMatrix::from_diagonal(&DVector::from_vec(vec![4e6, 1e6]));

@@ -5,7 +5,7 @@
 use crate::source::Timestamp;
 
 /// An exposure lasts at most for a frame, give or take what stamps are off.
-const LONGEST: f64 = 1.1;
+pub(crate) const LONGEST_EXPOSURE: f64 = 1.1;
 /// Steps in a row, shorter than the exposure: single ones are of stamps that are off.
 const STEPS: u32 = 10;
 
@@ -24,7 +24,7 @@ impl LongExposure {
     /// Takes the time of a frame, and of the one before.
     pub(crate) fn add(&mut self, now: Timestamp, before: Timestamp) {
         let step_s = now.seconds_since(before);
-        let is_short = self.exposure_s.is_some_and(|exposure_s| step_s > 0.0 && exposure_s > LONGEST * step_s);
+        let is_short = self.exposure_s.is_some_and(|exposure_s| step_s > 0.0 && exposure_s > LONGEST_EXPOSURE * step_s);
         if !self.is_seen() {
             self.steps = if is_short { self.steps + 1 } else { 0 };
         }

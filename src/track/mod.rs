@@ -20,7 +20,7 @@ pub(crate) mod curve;
 mod denoised;
 mod diameter;
 mod equations;
-mod exposure;
+pub(crate) mod exposure;
 mod fields;
 mod find;
 mod fit;

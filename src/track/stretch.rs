@@ -2,9 +2,10 @@
 //!
 //! The coil and the bands close to it on the tube form one stretch: the tube between them ties them together. Any other
 //! band is its own stretch. A band further than [`TIPWARD_DIAMETERS`] from the coil towards the tip, or
-//! [`BASEWARD_DIAMETERS`] towards the base, or at an unknown place, is not joined: over such a length one curvature does
-//! not describe a tube well. Towards the base it carries the coil's torque, and bends as much beside the coil as further
-//! away; towards the tip it is free. (With a band five diameters towards the base θ was 1.5 % too small, at 5 σ.)
+//! [`BASEWARD_DIAMETERS`] towards the base, or at an unknown place, is not joined: over such a length one curvature
+//! does not describe a tube well. Towards the base it carries the coil's torque, and bends as much beside the coil as
+//! further away; towards the tip it is free. (With a band five diameters towards the base θ was 1.5 % too small, at
+//! 5 σ.)
 
 use crate::rig::Rig;
 use crate::track::appearance::Layout;

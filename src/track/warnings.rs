@@ -25,9 +25,9 @@ pub(super) const FRINGES: &str = "red and blue lie apart in the pictures, by 0.4
      at different places (lateral chromatic aberration), or chroma is not stored where the recording says; this is \
      measured and taken out, and σ is widened by what may be left: another lens, or the middle of the picture, is \
      more accurate";
-pub(super) const LONG_EXPOSURE: &str = "the rig's exposure (`exposure_ms`) is longer than the time from frame to frame, \
-     which no camera's is: moving bands are blurred in the model by more than in the pictures, and are missed or \
-     misplaced: correct it, or teach the bands again";
+pub(super) const LONG_EXPOSURE: &str = "the rig's exposure (`exposure_ms`) is longer than the time from frame to \
+     frame, which no camera's is: moving bands are blurred in the model by more than in the pictures, and are missed \
+     or misplaced: correct it, or teach the bands again";
 pub(super) const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from those on which it was taught, \
      since the first frame: something is in front of it, the light is another, or they are coded otherwise; it is \
      refused, but in a noisier recording only in the first frames, and later σ may be too small: look at the overlay, \

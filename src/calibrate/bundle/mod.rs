@@ -6,7 +6,7 @@
 //! Minimised is Σ ρ(|corner − projection| / σ) + w Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the
 //! geometry is shared by all pictures, and so is the board's shape (`shape.rs`), the six parameters of its pose belong
 //! to one picture each. σ, the noise of a corner, is estimated from the corners themselves and the whole repeated.
-//! Last, the board's print is held as far as it is believed to be uneven (`print.rs`).
+//! Last, the board's print is held where it is believed to be (`print.rs`).
 //!
 //! The covariance of the geometry has all poses free. It assumes that errors of pictures are independent, but not those
 //! of the corners within one, nor of pictures in which the board lies alike (`clusters.rs`): a board that is not quite
@@ -650,8 +650,8 @@ pub(super) mod tests {
         }
     }
 
-    /// An uneven print, along its rows, across them, or both, clearly, hardly visibly or not at all, leaves the geometry
-    /// as good as its σ.
+    /// An uneven print, along its rows, across them, or both, clearly, hardly visibly or not at all, leaves the
+    /// geometry as good as its σ.
     #[test]
     fn an_uneven_print_does_not_bend_the_geometry() {
         const RUNS: u64 = 12;

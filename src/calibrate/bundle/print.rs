@@ -7,13 +7,17 @@
 //! squares grow along the feed. Where pictures leave it open, a stretch takes up the same as a focal length or a
 //! mirror's distance, and growing squares the same as the principal point. A prior of one width is wrong either
 //! way: a narrow one leaves the error of a stretched print in the lens, a wide one spoils σ of all square ones, to
-//! twice its size. Nor may a test decide: a stretch just too small for it would go unnoticed. The prior is therefore a
+//! twice its size. Nor may a test decide: a stretch just too small for it would go unnoticed (of an uneven print one
+//! does, in `calibrate camera`: what pictures leave open of six terms costs more). The prior is therefore a
 //! mixture Σ w N(0, τ²) of kinds of prints, and all of its parts count, each as much as the pictures speak for it.
 //!
 //! With everything else free the pictures say ŝ, with variance v, and so does the posterior's part of width τ:
 //! precision p = 1/v + 1/τ² − 1/widest², mean ŝ/(v p), weight ∝ w/(τ √p) exp(ŝ²/(2 v² p)). The variance of the whole
 //! includes the distances of the parts, and is largest where pictures are in two minds. Everything else follows
 //! linearly: x = x(ŝ) + K (s − ŝ), K its regression, and its covariance is that with s held, and K cov(s) Kᵀ.
+//!
+//! Of several parameters each is judged by what the pictures and the judgement of the others say of it, in turn, until
+//! all agree: expectation propagation (Minka 2001, arXiv:1301.2294).
 //!
 //! Sources: Mitchell & Beauchamp, "Bayesian variable selection in linear regression", J. Am. Stat. Assoc. 83 (1988),
 //! doi:10.1080/01621459.1988.10478694; Hoeting et al., "Bayesian model averaging: a tutorial", Statist. Sci. 14 (1999),

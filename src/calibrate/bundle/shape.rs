@@ -7,9 +7,9 @@
 //!
 //! With u and v along the board's sides from its centre, −1 to 1 at its edges, and Legendre's polynomials P:
 //! - the *bend* raises it by Σ b Pᵢ(u) Pⱼ(v), 2 ≤ i + j ≤ 4, above the plane that fits it best;
-//! - the *print*: its *stretch* s makes it (1 + s/2) times as long along x, (1 − s/2) times along y, its *skew* its sides
-//!   not square to each other, and where it is *uneven* corners are shifted by Σ c Pᵢ(u) Pⱼ(v), i + j = 2, along x and
-//!   along y: squares grow along the feed, rows are bowed or fan out. How far all this is believed: `print.rs`;
+//! - the *print*: its *stretch* s makes it (1 + s/2) times as long along x, (1 − s/2) times along y, its *skew* its
+//!   sides not square to each other, and where it is *uneven* corners are shifted by Σ c Pᵢ(u) Pⱼ(v), i + j = 2, along
+//!   x and along y: squares grow along the feed, rows are bowed or fan out. How far all this is believed: `print.rs`;
 //! - the *creep* shifts it in its own plane, by Σ c Pᵢ(u) Pⱼ(v), i + j = 3, along x and along y: a bent sheet becomes
 //!   shorter where it is steep, and paper is not fed evenly;
 //! - the *size* is that of a bent sheet: its prior σ is how much shorter the bend makes it if it keeps its length along
@@ -43,10 +43,10 @@ const CUBIC: usize = 3;
 /// Prior σ of the terms of the bend of second, third and fourth order, as fractions of the board's half width: most
 /// boards are bent smoothly.
 const FLAT: [f64; 3] = [4e-3, 2e-3, 1e-3];
-/// Prior σ of the print until the pictures have spoken: of stretch and skew, and of the uneven terms as fractions of the
-/// half width.
-pub(crate) const WIDEST: f64 = 1e-2;
-pub(crate) const UNEVEN: f64 = 1e-3;
+/// Prior σ of the print until the pictures have spoken: of stretch and skew, and of the uneven terms as fractions of
+/// the half width.
+const WIDEST: f64 = 1e-2;
+const UNEVEN: f64 = 1e-3;
 /// Prior σ of a print that is held, over [`WIDEST`] or [`UNEVEN`].
 const HELD: f64 = 1e-7;
 /// Prior σ of the terms of the creep, as fractions of the half width.

@@ -104,24 +104,23 @@ fn in_any_order(solved: &Solution, even: &Solution, corners: &[Corner]) -> Optio
     let parted: Vec<Split> =
         starts.into_par_iter().filter_map(|start| part(even, &even.shape, corners, start)).collect();
     let best = parted.into_iter().min_by(|a, b| a.left.total_cmp(&b.left))?;
-    let shape = shared_shape(even, corners, &(best.groups, best.solutions))?;
+    let shape = shared_shape(even, corners, &best.apart)?;
     let best = part(even, &shape, corners, best.first)?;
-    let [a, b] = &best.solutions;
+    let (groups, [a, b]) = best.apart;
     let off = DVector::from_iterator(
         Parameter::of_lens(&a.geometry.lens).len(),
         Parameter::of_lens(&a.geometry.lens).iter().map(|p| a.geometry.value(*p) - b.geometry.value(*p)),
     );
     let apart = chi_square(&off, &a.covariance + &b.covariance)? / off.len() as f64;
     (apart * (all / best.left - 1.0) > MIN_EVIDENCE)
-        .then_some(TwoLenses { groups: best.groups, lenses: [a.geometry.lens, b.geometry.lens] })
+        .then_some(TwoLenses { groups, lenses: [a.geometry.lens, b.geometry.lens] })
 }
 
 /// Pictures in two groups.
 struct Split {
     /// Whether each cluster is in the first.
     first: Vec<bool>,
-    groups: [Vec<usize>; 2],
-    solutions: [Solution; 2],
+    apart: Apart,
     /// Sum of squares with the better lens for each cluster.
     left: f64,
 }
@@ -237,7 +236,7 @@ fn part(solved: &Solution, shape: &Shape, corners: &[Corner], mut first: Vec<boo
         let (Some(by_a), Some(by_b)) = (by_a, by_b) else { break };
         let left = by_a.iter().zip(&by_b).map(|(a, b)| a.min(*b)).sum();
         if best.as_ref().is_none_or(|best| left < best.left) {
-            best = Some(Split { first: first.clone(), groups, solutions: [a, b], left });
+            best = Some(Split { first: first.clone(), apart: (groups, [a, b]), left });
         }
         let next: Vec<bool> = by_a.iter().zip(&by_b).map(|(a, b)| a < b).collect();
         if next == first {

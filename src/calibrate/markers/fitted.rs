@@ -9,6 +9,7 @@ use crate::median::upper_median;
 use crate::rig::{Camera, Marker, Rig};
 use crate::source::{Frame, Picture, Timestamp};
 use crate::track::curve::mean_with_sd;
+use crate::track::exposure::LONGEST_EXPOSURE;
 use crate::track::{TrackOptions, Tracker};
 
 /// Frames used for the fit, and for the decision whether a gamma is needed.
@@ -30,8 +31,6 @@ const EXPOSURES: usize = 9;
 const EXPOSURE_PAIRS: usize = 24;
 const MIN_EXPOSURE_SDS: f64 = 3.0;
 const MIN_EXPOSURE: f64 = 0.1;
-/// A stated one lasts at most for a frame, give or take what stamps are off.
-const LONGEST_EXPOSURE: f64 = 1.1;
 /// Where the search for blur begins, and its step, pixels.
 const FIRST_BLUR_PX: f64 = 0.6;
 const BLUR_STEP_PX: f64 = 0.1;

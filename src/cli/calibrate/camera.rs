@@ -130,8 +130,8 @@ fn describe(board: &Board, searched: &[SearchedPicture], done: &CameraCalibratio
     };
     let _ = writeln!(
         text,
-        "board: {sag_mm:.2} mm from its highest to its lowest place; its print {evenness}, and is longer along rows than \
-         along columns by {:.2} ± {:.2} %",
+        "board: {sag_mm:.2} mm from its highest to its lowest place; its print {evenness}, and is longer along rows \
+         than along columns by {:.2} ± {:.2} %",
         100.0 * done.shape.stretch(),
         100.0 * sd
     );

@@ -1,8 +1,9 @@
 //! `catoptra identify --model`: a saved model on other records.
 
-use super::args::{Args, REPORT};
+use super::args::Args;
 use super::report_files;
 use crate::cli::outcome::Outcome;
+use crate::cli::output::REPORT;
 use crate::cli::{Exit, Failure, interrupt, output};
 use crate::identify::applied::{Applied, apply};
 use crate::identify::data::Data;

@@ -2,6 +2,7 @@
 
 use crate::cli::Failure;
 use crate::cli::outcome::HiddenJson;
+use crate::cli::output::REPORT;
 use crate::cli::results::Results;
 use crate::cli::units::{duration_s, signed_duration_s};
 use crate::identify::Repeats;
@@ -17,8 +18,6 @@ use clap::builder::RangedU64ValueParser;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-/// The page.
-pub(super) const REPORT: &str = "report.html";
 /// Orders searched when none are given, as far as the data allow.
 const ORDERS: RangeInclusive<usize> = 1..=20;
 /// Fewest samples per coefficient of a searched model.

@@ -52,7 +52,7 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
         let _held = results.take()?;
         let mut written =
             export::write(&args.out, &data, &done, &provenance).map_err(|e| Failure::new(Exit::Failed, e))?;
-        let page = args.out.join(args::REPORT);
+        let page = args.out.join(output::REPORT);
         output::save(&page, &identification::page(&data, &done, &provenance))?;
         written.push(page);
         written

@@ -51,8 +51,8 @@ pub(super) fn run(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
             written.push(args.out.join(name));
             output::save(&args.out.join(name), text)?;
         }
-        written.push(args.out.join(super::args::REPORT));
-        output::save(&args.out.join(super::args::REPORT), &page::page(&found, &coils, &all))?;
+        written.push(args.out.join(output::REPORT));
+        output::save(&args.out.join(output::REPORT), &page::page(&found, &coils, &all))?;
         written
     };
     super::report_files(outcome, &written)?;
@@ -134,6 +134,6 @@ fn words(found: &Planes, coils: &[String], out: &Path) -> String {
         );
     }
     let _ = writeln!(text, "\n  (angle in the plane of B0, angle across it)");
-    let _ = writeln!(text, "\nwritten: {}, {} in {}", FILES.join(", "), super::args::REPORT, out.display());
+    let _ = writeln!(text, "\nwritten: {}, {} in {}", FILES.join(", "), output::REPORT, out.display());
     text
 }

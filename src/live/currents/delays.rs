@@ -1,7 +1,7 @@
 //! The clock of who sends currents against this computer's.
 //!
-//! In: each sample's own time and its arrival. Out: what to say of them. A sample cannot arrive before its time, and one
-//! that is late may have been held up on its way; but if all of some seconds are late, or later than at first, the
+//! In: each sample's own time and its arrival. Out: what to say of them. A sample cannot arrive before its time, and
+//! one that is late may have been held up on its way; but if all of some seconds are late, or later than at first, the
 //! sender's clock is behind, was set back, or runs slow.
 
 use crate::sink::CurrentSample;
@@ -32,10 +32,10 @@ impl Delays {
             return None;
         }
         let delay_ns = sample.arrival_ns.saturating_sub(sample.host_ns);
-        let was_ahead = self.least_ns.is_some_and(|least_ns| least_ns < -AHEAD_NS);
+        let was_ahead = self.is_ahead();
         let least_ns = self.least_ns.map_or(delay_ns, |least_ns| least_ns.min(delay_ns));
         self.least_ns = Some(least_ns);
-        if delay_ns < -AHEAD_NS && !was_ahead {
+        if self.is_ahead() && !was_ahead {
             return Some(format!(
                 "a sample has a time {:.3} s after its arrival: the sender's clock is ahead of this computer's, and \
                  currents are logged so much too late; set both by NTP or PTP, or leave host_ns out",
@@ -59,6 +59,11 @@ impl Delays {
              PTP, or leave host_ns out",
             seconds(later_ns)
         ))
+    }
+
+    /// Whether a sample had a time after its arrival.
+    pub(super) fn is_ahead(&self) -> bool {
+        self.least_ns.is_some_and(|least_ns| least_ns < -AHEAD_NS)
     }
 
     /// What is odd in all samples together.

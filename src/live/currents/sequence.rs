@@ -40,8 +40,8 @@ impl Sequence {
     }
 
     /// How many were lost, and how many came twice or late, in words. Late ones are not lost.
-    pub(super) fn report(&self) -> Vec<(u64, &'static str)> {
-        vec![
+    pub(super) fn report(&self) -> [(u64, &'static str); 3] {
+        [
             (self.lost.saturating_sub(self.not_later), "samples were lost on their way, or came late"),
             (self.not_later, "samples came twice or late"),
             (self.restarts, "times the numbers of samples began anew"),

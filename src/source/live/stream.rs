@@ -20,10 +20,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// Frames without times after the start of a stream whose steps tell nothing: what was read to recognise the stream comes
-/// at once.
-const STARTING: u32 = 60;
-
 /// A frame, and when its packet was read.
 type Arrived = (Frame, Option<Instant>);
 
@@ -42,10 +38,7 @@ pub struct Stream {
     /// Whether it was said that frames are late.
     late_named: bool,
     /// Of a stream without times.
-    arrivals: StampWatch,
-    catching_up: CatchingUp,
-    /// Frames of it since it was opened, at most [`STARTING`].
-    since_start: u32,
+    arrivals: Arrivals,
     stop: Arc<AtomicBool>,
     seq: u64,
     /// Faults of inputs that have ended.
@@ -79,7 +72,7 @@ impl Stream {
         }
         let size_px = input.size_px();
         let (fit, past) = (ClockFit::default(), StreamFaults::default());
-        let (arrivals, catching_up) = (StampWatch::new(name.clone(), None, 0.0), CatchingUp::new(0.0));
+        let arrivals = Arrivals::new(&name);
         Ok(Self {
             url: url.to_owned(),
             name,
@@ -90,8 +83,6 @@ impl Stream {
             fit,
             late_named: false,
             arrivals,
-            catching_up,
-            since_start: 0,
             stop,
             seq: 0,
             past,
@@ -104,12 +95,14 @@ impl Stream {
             return self.fit.placed(frame.stamp.ns, arrival_ns);
         }
         let time = self.fit.map(frame.stamp.ns, arrival_ns);
-        if let Some(late_ns) = self.fit.is_late().filter(|_| !self.late_named) {
+        if !self.late_named
+            && let Some(late_ns) = self.fit.is_late()
+        {
             self.late_named = true;
             tracing::warn!(
-                "{}: frames arrive {:.0} ms later than their time stamps and the frames before say. Either the way here \
-                 has become slower, or frames were lost by a sender that stamps by count: then `host_stamp_ns`, by which \
-                 currents are matched, is early by as much",
+                "{}: frames arrive {:.0} ms later than their time stamps and the frames before say. Either the way \
+                 here has become slower, or frames were lost by a sender that stamps by count: then `host_stamp_ns`, \
+                 by which currents are matched, is early by as much",
                 self.name,
                 late_ns as f64 * 1e-6
             );
@@ -127,6 +120,33 @@ impl Stream {
     }
 }
 
+/// Frames that a stream without times has lost, by the arrivals of the others.
+struct Arrivals {
+    watch: StampWatch,
+    catching_up: CatchingUp,
+    /// Frames since the stream was opened, at most [`Arrivals::STARTING`].
+    frames: u32,
+}
+
+impl Arrivals {
+    /// Frames at the start whose steps tell nothing: what was read to recognise the stream comes at once.
+    const STARTING: u32 = 60;
+
+    fn new(name: &str) -> Self {
+        Self { watch: StampWatch::new(name.to_owned(), None, 0.0), catching_up: CatchingUp::new(0.0), frames: 0 }
+    }
+
+    /// How many are known to be lost by now and were not before.
+    fn lost(&mut self, arrival_ns: i64, seq: u64, faults: &mut StreamFaults) -> u32 {
+        if self.frames < Self::STARTING {
+            self.frames += 1;
+            return 0;
+        }
+        let missing = self.watch.gap(arrival_ns, seq, faults);
+        self.catching_up.lost(arrival_ns, missing)
+    }
+}
+
 impl FrameSource for Stream {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         let comes_back = self.url != "-";
@@ -141,13 +161,7 @@ impl FrameSource for Stream {
                     frame.host = Some(if self.input.as_ref().is_none_or(VideoFile::has_times) {
                         self.mapped(&frame, arrival_ns)
                     } else {
-                        frame.gap = if self.since_start < STARTING {
-                            self.since_start += 1;
-                            0
-                        } else {
-                            let missing = self.arrivals.gap(arrival_ns, self.seq, &mut self.past);
-                            self.catching_up.lost(arrival_ns, missing)
-                        };
+                        frame.gap = self.arrivals.lost(arrival_ns, self.seq, &mut self.past);
                         frame.stamp = Timestamp { ns: arrival_ns, clock: Clock::HostArrival };
                         HostTime { arrival_ns, stamp_ns: arrival_ns }
                     });
@@ -164,9 +178,7 @@ impl FrameSource for Stream {
             tracing::warn!("{}: the stream is interrupted ({reason}); waiting for it to come back", self.name);
             self.past.add(self.input.take().map(|input| input.faults()).unwrap_or_default());
             self.past.interruptions += 1;
-            self.arrivals = StampWatch::new(self.name.clone(), None, 0.0);
-            self.catching_up = CatchingUp::new(0.0);
-            self.since_start = 0;
+            self.arrivals = Arrivals::new(&self.name);
         }
         Ok(None)
     }
