@@ -10,7 +10,7 @@ use crate::excite::{
     is_own_table,
 };
 use crate::report::excitation::{self, ExcitationInfo};
-use crate::series::{CurrentTable, play};
+use crate::series::play;
 use crate::source::FrameRate;
 use crate::source::current_columns::{CurrentColumns, is_time};
 use clap::{Subcommand, ValueEnum};
@@ -184,19 +184,29 @@ struct DescribedSignal {
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
-    let (common, made) = match &args.command {
-        Command::Chirp(args) => (&args.common, args.made().map_err(Failure::usage)?),
-        Command::Multisine(args) => (&args.common, args.made().map_err(Failure::usage)?),
-        Command::Steps(args) => (&args.common, args.made().map_err(Failure::usage)?),
+    let common = match &args.command {
+        Command::Chirp(args) => &args.common,
+        Command::Multisine(args) => &args.common,
+        Command::Steps(args) => &args.common,
     };
     check_coils(&common.coils)?;
-    let page = common.report.as_ref().map(|file| file.clone().unwrap_or_else(|| common.out.with_extension("html")));
-    let channels = common.channels(&made.signal)?;
-    let is_own = |text: &str| match channels {
-        Some(_) => CurrentTable::read(&common.out).is_ok_and(|list| is_own_list(&list)),
-        None => is_own_table(text),
+    let channels = common.channels()?;
+    let made = match &args.command {
+        Command::Chirp(args) => args.made(),
+        Command::Multisine(args) => args.made(),
+        Command::Steps(args) => args.made(),
     };
-    is_free(&common.out, is_own, "a table of this command")?;
+    let made = made.map_err(Failure::usage)?;
+    let page = common.report.as_ref().map(|file| file.clone().unwrap_or_else(|| common.out.with_extension("html")));
+    let text = match &channels {
+        Some(channels) => list(&made.signal, channels),
+        None => made.signal.table(&common.coils),
+    };
+    match channels {
+        // Lists do not say who wrote them.
+        Some(_) => is_free(&common.out, |there| there == text, "this very list")?,
+        None => is_free(&common.out, is_own_table, "a table of this command")?,
+    }
     if let Some(page) = &page {
         if whole_path(page) == whole_path(&common.out) {
             let text = format!("{}: table and page have the same name; give --report=FILE.html", page.display());
@@ -205,10 +215,6 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         is_free_for_page(page)?;
     }
     let spectrum = Spectrum::of(&made.signal);
-    let text = match &channels {
-        Some(channels) => list(&made.signal, channels),
-        None => made.signal.table(&common.coils),
-    };
     save(&common.out, &text)?;
     if let Some(page) = &page {
         let settings = [made.info.settings.as_slice(), &provenance::of_this_run()].concat();
@@ -238,12 +244,12 @@ impl Common {
     }
 
     /// For a list of the amplifier: the channel of each coil, `channel_3` by its number, others by their place.
-    fn channels(&self, signal: &Signal) -> Result<Option<Vec<usize>>, Failure> {
+    fn channels(&self) -> Result<Option<Vec<usize>>, Failure> {
         if !play::is_play(&self.out) {
             return Ok(None);
         }
         let usage = |text: String| Failure::usage(format!("{}: {text}", self.out.display()));
-        let rate_hz = signal.rate.hz();
+        let rate_hz = self.rate.hz();
         if rate_hz > MAX_PLAYED_HZ {
             let text = format!("its delays are whole milliseconds, {rate_hz} rows per second are too many: --rate 500");
             return Err(usage(text));
@@ -304,14 +310,6 @@ fn list(signal: &Signal, channels: &[usize]) -> String {
     };
     let rows: Vec<(i64, Vec<f64>)> = (0..).zip(signal.values_a.iter().chain(std::iter::once(&0.0))).map(row).collect();
     play::write(rows.iter().map(|(time_ns, values_a)| (*time_ns, values_a.as_slice())))
-}
-
-/// Whether a list can be one of this command: lists do not say who wrote them, but its own have one coil's currents
-/// alone, and zero at the end. Others, for example of a path, are somebody's experiment.
-fn is_own_list(list: &CurrentTable) -> bool {
-    let used = |coil: usize| list.rows.iter().any(|row| row.values_a.get(coil).is_some_and(|value| *value != 0.0));
-    let at_zero = list.rows.last().is_some_and(|row| row.values_a.iter().all(|value| *value == 0.0));
-    at_zero && (0..list.coils.len()).filter(|coil| used(*coil)).count() <= 1
 }
 
 fn line(name: &str, value: impl ToString) -> (String, String) {

@@ -146,15 +146,15 @@ impl Args {
 
     /// Names of the tables of points, one per run in the order of the runs: two runs of one pause time have a number
     /// each.
-    fn tables_of_points(pauses_s: impl Iterator<Item = f64>) -> Vec<String> {
+    fn tables_of_points(&self) -> Vec<String> {
         let mut seen: BTreeMap<String, u32> = BTreeMap::new();
-        let name = |pause_s: f64| {
+        let name = |pause_s: &f64| {
             let name = format!("points_{}ms", pause_s * 1e3);
             let times = seen.entry(name.clone()).or_default();
             *times += 1;
             if *times == 1 { format!("{name}.csv") } else { format!("{name}_{times}.csv") }
         };
-        pauses_s.map(name).collect()
+        self.pause.iter().map(name).collect()
     }
 
     /// The folder, whose files are those of earlier results of the same runs or none.
@@ -172,7 +172,7 @@ impl Args {
                 .chain(&self.plant)
                 .map(PathBuf::as_path)
                 .collect(),
-            files: tables.chain(Self::tables_of_points(self.pause.iter().copied())).collect(),
+            files: tables.chain(self.tables_of_points()).collect(),
         }
     }
 
@@ -190,7 +190,7 @@ impl Args {
         save(RESULT, json)?;
         save(TABLE_2, &validation.table())?;
         save(REPORT, &validation::page(validation, &self.settings(), line))?;
-        let names = Self::tables_of_points(validation.runs.iter().map(|run| run.pause_s));
+        let names = self.tables_of_points();
         for (run, name) in validation.runs.iter().zip(names) {
             save(&name, &run.points_csv())?;
         }

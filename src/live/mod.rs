@@ -28,8 +28,8 @@ mod subscribers;
 mod switch;
 mod writer;
 
-pub use currents::CurrentSource;
 pub(crate) use currents::currents_of;
+pub use currents::{CurrentSource, Currents};
 pub use latest::{Latest, lower_priority};
 pub use pictures::{MAX_PICTURES, NewPlace, RecordTo, Recording, SwitchedRecording, free_bytes};
 pub use priority::Priority;
@@ -40,7 +40,7 @@ pub use writer::MAX_ROWS;
 
 use crate::estimate::{Estimate, Miss};
 use crate::pipeline::{End, OpenSink, Summary, finish_all, returned};
-use crate::sink::{CurrentSample, Sink, SinkError};
+use crate::sink::{Sink, SinkError};
 use crate::source::host::HostClock;
 use crate::source::{FrameSource, Picture, SourceError, StreamFaults, Timestamp};
 use crate::tally::Tally;
@@ -52,7 +52,7 @@ use status::Counters;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::RecvTimeoutError;
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 use subscribers::Subscribers;
@@ -78,7 +78,7 @@ pub struct Outputs {
     /// Subscribers, each served by a thread of its own that may miss rows.
     pub subscribers: Vec<Box<dyn Sink + Send>>,
     /// Coil currents, as they come.
-    pub currents: Option<Receiver<CurrentSample>>,
+    pub currents: Option<Currents>,
     /// Pictures of the frames that are tracked.
     pub pictures: Option<Recording>,
     /// Where the last rows, and a picture now and then, are left for onlookers.
@@ -101,7 +101,7 @@ pub struct LiveSummary {
     pub run: Summary,
     /// Time from the arrival of a frame to its θ being sent, over all tracked frames.
     pub latency: Latency,
-    /// Frames that were not logged because the disk was too slow for minutes.
+    /// Frames that were not logged because the log could not keep up.
     pub unlogged_frames: u64,
     /// Samples of currents that were not logged for the same reason.
     pub unlogged_currents: u64,
@@ -147,12 +147,12 @@ pub fn run(
     let (pictures, recorder) = recording.unzip();
 
     let camera = start_camera(source, Arc::clone(&queue), Arc::clone(stop))?;
-    let currents = outputs.currents.map(|samples| {
+    let currents = outputs.currents.map(|currents| {
         let (log, subscribers, latest) = (log.clone(), subscribers.clone(), outputs.latest.clone());
         let stop = Arc::clone(stop);
         Builder::new()
             .name("currents".to_owned())
-            .spawn(move || log_currents(&samples, &log, &subscribers, latest.as_deref(), &stop))
+            .spawn(move || log_currents(&currents, &log, &subscribers, latest.as_deref(), &stop))
     });
     let currents = currents.transpose()?;
     let tracking = {
@@ -281,17 +281,20 @@ fn take_all(mut source: Box<dyn FrameSource + Send>, queue: &Queue, stop: &Atomi
 
 /// Hands on currents until there are no more, or the run stops.
 fn log_currents(
-    samples: &Receiver<CurrentSample>,
+    currents: &Currents,
     log: &Log,
     subscribers: &[Subscribers],
     latest: Option<&Latest>,
     stop: &AtomicBool,
 ) {
     loop {
-        match samples.recv_timeout(POLL_INTERVAL) {
+        match currents.samples.recv_timeout(POLL_INTERVAL) {
             Ok(sample) => {
                 subscribers.iter().for_each(|line| line.put_current(&sample));
                 latest.iter().for_each(|latest| latest.put_current(&sample));
+                while currents.wait && !log.has_room_for_current() {
+                    std::thread::sleep(POLL_INTERVAL);
+                }
                 log.put(Entry::Current(sample));
             }
             Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => {}

@@ -1,7 +1,8 @@
 //! The thread that writes the log, the table and the report, behind a line of its own that publishers have no part in.
 //!
 //! The line holds rows without pictures, minutes of them. That it grows is told long before it is full; when it is,
-//! rows are lost to the files (never to publishers) and counted. A sink that fails is told at once; the others go on.
+//! rows are lost to the files (never to publishers) and counted. Currents may fill half of it, so that they never take
+//! the place of frames. A sink that fails is told at once; the others go on.
 
 use crate::estimate::Estimate;
 use crate::log::schema::messages::PictureWindows;
@@ -10,13 +11,15 @@ use crate::sink::{CurrentSample, PictureCount, Sink, SinkError};
 use crate::tally::Totals;
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::{Builder, JoinHandle};
 
 /// Rows that may wait: more than two minutes at 60 Hz, some 50 MB.
 pub const MAX_ROWS: usize = 8192;
-/// So many that wait are warned of.
+/// Rows that wait when a sample of currents is put into the line.
+const MAX_ROWS_BEFORE_CURRENT: usize = MAX_ROWS / 2;
+/// A warning is given when this many wait.
 const WARN_BACKLOG: usize = MAX_ROWS / 16;
 
 /// What is logged.
@@ -36,6 +39,9 @@ pub(super) struct Backlog {
     unlogged_frames: AtomicU64,
     unlogged_currents: AtomicU64,
     sinks_alive: AtomicUsize,
+    /// Whether it was said that many rows wait, and that some are lost.
+    said_waiting: AtomicBool,
+    said_lost: AtomicBool,
 }
 
 impl Backlog {
@@ -62,8 +68,11 @@ impl Backlog {
             Entry::Windows(..) => return,
         };
         count.fetch_add(1, Ordering::Relaxed);
-        if self.unlogged_frames() + self.unlogged_currents() == 1 {
-            tracing::error!("the disk has been too slow for minutes: rows are being lost from now on, and counted");
+        if !self.said_lost.swap(true, Ordering::Relaxed) {
+            tracing::error!(
+                "the log cannot keep up: {} rows wait to be written; rows are being lost from now on, and counted",
+                self.waiting()
+            );
         }
     }
 
@@ -92,18 +101,27 @@ impl Log {
 
     /// Puts an entry into the line; never waits. Whether there was room for it.
     pub(super) fn put(&self, entry: Entry) -> bool {
+        if matches!(entry, Entry::Current(_)) && !self.has_room_for_current() {
+            self.backlog.count_unlogged(&entry);
+            return false;
+        }
         let waiting = self.backlog.waiting.fetch_add(1, Ordering::Relaxed) + 1;
         if let Err(TrySendError::Full(entry) | TrySendError::Disconnected(entry)) = self.entries.try_send(entry) {
             self.backlog.waiting.fetch_sub(1, Ordering::Relaxed);
             self.backlog.count_unlogged(&entry);
             return false;
         }
-        if waiting == WARN_BACKLOG {
+        if waiting >= WARN_BACKLOG && !self.backlog.said_waiting.swap(true, Ordering::Relaxed) {
             tracing::warn!(
-                "the disk falls behind: {waiting} rows wait to be written, {MAX_ROWS} can; nothing is lost yet"
+                "the log falls behind: {waiting} rows wait to be written, {MAX_ROWS} can; nothing is lost yet"
             );
         }
         true
+    }
+
+    /// Whether a sample of currents would be taken.
+    pub(super) fn has_room_for_current(&self) -> bool {
+        self.backlog.waiting() < MAX_ROWS_BEFORE_CURRENT
     }
 
     pub(super) fn backlog(&self) -> Arc<Backlog> {
@@ -140,4 +158,48 @@ fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: 
         backlog.waiting.fetch_sub(1, Ordering::Relaxed);
     }
     (sinks, failures)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tally::Tally;
+    use crate::testing::fixture;
+    use std::sync::Mutex;
+
+    /// Writes once it may, and counts frames and currents.
+    struct Slow(Arc<Mutex<[usize; 2]>>);
+
+    impl Sink for Slow {
+        fn write(&mut self, _: &Estimate, _: Option<&crate::source::Picture>) -> Result<(), SinkError> {
+            self.0.lock().unwrap()[0] += 1;
+            Ok(())
+        }
+
+        fn write_current(&mut self, _: &CurrentSample) -> Result<(), SinkError> {
+            self.0.lock().unwrap()[1] += 1;
+            Ok(())
+        }
+
+        fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn currents_do_not_take_the_place_of_frames() {
+        let written = Arc::new(Mutex::new([0; 2]));
+        let disk = written.lock().unwrap();
+        let (log, thread) = Log::start(vec![Box::new(Slow(Arc::clone(&written)))]).unwrap();
+        let current = || Entry::Current(CurrentSample { host_ns: 0, arrival_ns: 0, seq: None, current_a: vec![0.0] });
+        let taken = (0..2 * MAX_ROWS).filter(|_| log.put(current())).count();
+        let frames = MAX_ROWS / 3;
+        assert!((0..frames as u64).all(|k| log.put(Entry::Frame(Arc::new(fixture::complete(k, k as i64)), None))));
+        let backlog = log.backlog();
+        assert_eq!((backlog.unlogged_frames(), backlog.unlogged_currents()), (0, (2 * MAX_ROWS - taken) as u64));
+        drop((disk, log));
+        thread.join().unwrap();
+        assert_eq!(*written.lock().unwrap(), [frames, taken]);
+        assert!((MAX_ROWS_BEFORE_CURRENT..=MAX_ROWS_BEFORE_CURRENT + 1).contains(&taken), "{taken}");
+    }
 }

@@ -82,12 +82,12 @@ fn several_coils_have_a_column_each_and_only_a_table_is_replaced() {
     fs::write(folder.path().join("notes.csv"), "Tuesday\n").unwrap();
     let output = excite(folder.path(), &["chirp", "-o", "notes.csv"]);
     assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("notes.csv: exists and is not a table of this command"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("notes.csv: exists and is not this very list"), "{}", stderr(&output));
     let recorded = "t_s,axial_a\r\n0.000000,0.012000\r\n0.016667,0.000000\r\n";
     fs::write(folder.path().join("recorded.csv"), recorded).unwrap();
     let output = excite(folder.path(), &["chirp", "-o", "recorded.csv"]);
     assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("recorded.csv: exists and is not a table of this command"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("recorded.csv: exists and is not this very list"), "{}", stderr(&output));
     assert_eq!(fs::read_to_string(folder.path().join("recorded.csv")).unwrap(), recorded);
     let output = excite(folder.path(), &["chirp", "-o", "none/i.csv"]);
     assert_eq!(output.status.code(), Some(2));
@@ -119,11 +119,12 @@ fn a_list_for_the_amplifier_plays_the_same_currents() {
     let output = list(&["--coils", "channel_2,side", "-o", "twice.play"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("all different, as channel_3"), "{}", stderr(&output));
+    let step = "1, 35.5, 2000\r\n1, -12.25, 3000\r\n1, 0, 0\r\n";
     let path = "1, 20, 0\r\n2, 35, 500\r\n1, 0, 0\r\n2, 0, 0\r\n";
-    for (name, text) in [("notes.play", "Tuesday\n"), ("path.play", path)] {
+    for (name, text) in [("notes.play", "Tuesday\n"), ("path.play", path), ("step.play", step)] {
         fs::write(folder.path().join(name), text).unwrap();
         let output = list(&["-o", name]);
-        let refused = format!("{name}: exists and is not a table of this command");
+        let refused = format!("{name}: exists and is not this very list");
         assert!(stderr(&output).contains(&refused), "{}", stderr(&output));
         assert_eq!(fs::read_to_string(folder.path().join(name)).unwrap(), text);
     }

@@ -2,7 +2,7 @@
 
 use crate::support::command::*;
 use catoptra::estimate::Estimate;
-use catoptra::live::{self, LiveSummary, Outputs, Until};
+use catoptra::live::{self, Currents, LiveSummary, Outputs, Until};
 use catoptra::pipeline::{self, End};
 use catoptra::sink::{CsvSink, CurrentSample, OutputFrame, Sink, SinkError, UdpSink};
 use catoptra::source::host::HostClock;
@@ -259,7 +259,8 @@ fn a_camera_that_hangs_does_not_hold_up_the_end_and_nothing_before_is_lost() {
 #[test]
 fn coil_currents_go_into_the_same_log() {
     let (until, rows) = (Until { duration: Some(Duration::from_millis(300)), ..Until::default() }, Rows::default());
-    let (line, currents) = std::sync::mpsc::sync_channel(16);
+    let (line, samples) = std::sync::mpsc::sync_channel(16);
+    let currents = Currents { samples, wait: false };
     let sample = CurrentSample { host_ns: 5, arrival_ns: 6, seq: Some(7), current_a: vec![0.1, -0.1, 0.0] };
     line.send(sample.clone()).unwrap();
     run(endless(&until.stop), Outputs { currents: Some(currents), ..files(&[&rows]) }, &until);

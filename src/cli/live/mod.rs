@@ -16,12 +16,12 @@ use super::warned::Work;
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::archive::{Hashes, Measured, early_end, hash};
 use crate::estimate::Spot;
-use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordSwitch, Until};
+use crate::live::{self, CurrentSource, Currents, LiveSummary, Outputs, Priority, RecordSwitch, Until};
 use crate::pipeline::End;
 use crate::plural::plural;
 use crate::report::RunInfo;
 use crate::rig::Rig;
-use crate::sink::{CurrentSample, PublishSink, Sink, UdpSink};
+use crate::sink::{PublishSink, Sink, UdpSink};
 use crate::source::host::HostClock;
 use crate::source::names::without_credentials;
 use crate::studio::Watch;
@@ -36,7 +36,6 @@ use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 /// Free space reserved for the log, gigabytes: more than an hour at 60 Hz.
@@ -238,7 +237,7 @@ fn verdict_of(args: &Args, rig: &Rig, live: LiveSummary) -> Result<(), Failure> 
     let missing = [("frames", live.unlogged_frames), ("samples of currents", live.unlogged_currents)];
     let missing: Vec<_> = missing.iter().filter(|(_, n)| *n > 0).map(|(what, n)| format!("{what}: {n}")).collect();
     if !missing.is_empty() {
-        let text = format!("missing in the files, because the disk was too slow: {}", missing.join(", "));
+        let text = format!("missing in the files, because the log could not keep up: {}", missing.join(", "));
         return Err(Failure::new(Exit::Failed, text));
     }
     if let Some(text) = no_frame(args, &live).filter(|_| matches!(live.run.end, End::Complete)) {
@@ -286,7 +285,7 @@ impl Args {
         from: &CurrentSource,
         clock: HostClock,
         stop: &Arc<AtomicBool>,
-    ) -> Result<Receiver<CurrentSample>, Failure> {
+    ) -> Result<Currents, Failure> {
         let refused = |e: std::io::Error| {
             // The named file is wrong or does not exist.
             let invalid = [ErrorKind::InvalidData, ErrorKind::NotFound, ErrorKind::IsADirectory].contains(&e.kind());

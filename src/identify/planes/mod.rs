@@ -278,8 +278,11 @@ pub(crate) fn identify(
             settings.orders.0 * SAMPLES_PER_COEFFICIENT * (coils + outputs)
         )));
     }
-    if let Some(angle) = still_angle(&fitted) {
+    if let Some((_, angle)) = OUTPUTS.iter().enumerate().find(|(output, _)| !moves(&fitted, *output)) {
         return Err(PlanesError::StillAngle { angle });
+    }
+    if !judging.is_empty() && !(0..OUTPUTS.len()).any(|output| moves(&judging, output)) {
+        return Err(undetermined("the coil does not move in the validation records: they cannot judge a model".into()));
     }
     let together = Together::of(&fitted);
     if let Some(found) = together.as_ref().filter(|found| found.ratio < APART) {
@@ -362,17 +365,13 @@ pub(crate) fn identify(
 }
 
 /// The first angle that hardly changes in any of the records, about the mean of all.
-fn still_angle(records: &[Motion]) -> Option<&'static str> {
-    let moves = |output: usize| {
-        let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
-        for record in records {
-            for value in record.output.column(output).iter().filter(|value| value.is_finite()) {
-                (least, most) = (least.min(*value), most.max(*value));
-            }
-        }
-        most - least > STILL_RAD
+/// Whether an output moves in any of the records.
+fn moves(records: &[Motion], output: usize) -> bool {
+    let within = |record: &Motion| {
+        let values = || record.output.column(output).into_iter().copied().filter(|value| value.is_finite());
+        values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
     };
-    OUTPUTS.iter().enumerate().find(|(output, _)| !moves(*output)).map(|(_, angle)| *angle)
+    records.iter().any(|record| within(record) > STILL_RAD)
 }
 
 fn not_apart(why: &str) -> PlanesError {
@@ -382,14 +381,15 @@ fn not_apart(why: &str) -> PlanesError {
     ))
 }
 
-/// Mean error of the simulation over records and outputs; `None` when one grows without end.
+/// Mean error of the simulation over records and outputs that move in them; `None` when one grows without end.
 fn error_percent(system: &System, records: &[Motion]) -> Option<f64> {
-    let error = |record: &Motion| {
+    let mut errors = Vec::new();
+    for record in records {
         let all = percent(record, &system.simulated(record)?);
-        Some(all.iter().sum::<f64>() / all.len() as f64)
-    };
-    let all = records.iter().map(error).collect::<Option<Vec<f64>>>()?;
-    Some(all.iter().sum::<f64>() / all.len().max(1) as f64)
+        let moving = all.into_iter().enumerate().filter(|(output, _)| moves(std::slice::from_ref(record), *output));
+        errors.extend(moving.map(|(_, error)| error));
+    }
+    Some(errors.iter().sum::<f64>() / errors.len().max(1) as f64)
 }
 
 /// The frequencies that contain the energy of the currents, of any coil, radians per sample; all when the records are

@@ -127,14 +127,23 @@ impl fmt::Display for CurrentSource {
     }
 }
 
+/// Samples as they come.
+#[derive(Debug)]
+pub struct Currents {
+    /// Until the source is stopped.
+    pub samples: Receiver<CurrentSample>,
+    /// Whether they can wait until they are logged: rows of a table can.
+    pub wait: bool,
+}
+
 impl CurrentSource {
     /// Begins to listen; samples come out until `stop` is set.
     ///
     /// # Errors
     /// When the port is taken, or device or table cannot be opened.
-    pub fn open(&self, limit_a: f64, clock: HostClock, stop: &Arc<AtomicBool>) -> io::Result<Receiver<CurrentSample>> {
-        let (samples, line) = sync_channel(MAX_WAITING);
-        let mut parser = Parser::new(self.to_string(), clock, samples, limit_a);
+    pub fn open(&self, limit_a: f64, clock: HostClock, stop: &Arc<AtomicBool>) -> io::Result<Currents> {
+        let (sender, samples) = sync_channel(MAX_WAITING);
+        let mut parser = Parser::new(self.to_string(), clock, sender, limit_a);
         let stop = Arc::clone(stop);
         let thread = Builder::new().name("currents in".to_owned());
         match self {
@@ -162,7 +171,7 @@ impl CurrentSource {
                 thread.spawn(move || parser.messages(&mut listener, &stop))?;
             }
         }
-        Ok(line)
+        Ok(Currents { samples, wait: matches!(self, Self::File(_) | Self::Play { .. }) })
     }
 }
 
@@ -205,7 +214,7 @@ mod tests {
         table.write_all(b"host_ns,i1_a,i2_a\n1000,0.1,0.2\n20").unwrap();
         let stop = Arc::new(AtomicBool::new(false));
         let source = CurrentSource::File(table.path().to_owned());
-        let samples = source.open(10.0, HostClock::start(), &stop).unwrap();
+        let samples = source.open(10.0, HostClock::start(), &stop).unwrap().samples;
         let next = || samples.recv_timeout(Duration::from_secs(10)).unwrap();
         let first = next();
         assert_eq!((first.host_ns, first.current_a), (1000, vec![0.1, 0.2]));
@@ -229,7 +238,7 @@ mod tests {
         table.write_all(b"t_s,current_a\r\n0.000000000,0.1\r\n0.400000000,0.2\r\n3600.000000000,0.3\r\n").unwrap();
         let stop = Arc::new(AtomicBool::new(false));
         let clock = HostClock::start();
-        let samples = CurrentSource::File(table.path().to_owned()).open(10.0, clock, &stop).unwrap();
+        let samples = CurrentSource::File(table.path().to_owned()).open(10.0, clock, &stop).unwrap().samples;
         let next = || samples.recv_timeout(Duration::from_secs(10)).unwrap();
         let (first, second) = (next(), next());
         assert_eq!((first.host_ns, second.host_ns), (clock.started_ns(), clock.started_ns() + 400_000_000));
@@ -244,7 +253,8 @@ mod tests {
         let stop = Arc::new(AtomicBool::new(false));
         let probe = UdpSocket::bind("127.0.0.1:0").unwrap();
         let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let samples = CurrentSource::Udp(([127, 0, 0, 1], port).into()).open(10.0, HostClock::start(), &stop).unwrap();
+        let samples =
+            CurrentSource::Udp(([127, 0, 0, 1], port).into()).open(10.0, HostClock::start(), &stop).unwrap().samples;
         for bytes in [b"garbage".as_slice(), b"", &[0; 60_000], b"0.25, -0.25"] {
             probe.send_to(bytes, ("127.0.0.1", port)).unwrap();
         }

@@ -23,7 +23,7 @@ impl Sequence {
         if seq > latest {
             let missing = seq - latest - 1;
             let first = self.lost == 0 && missing > 0;
-            self.lost += missing;
+            self.lost = self.lost.saturating_add(missing);
             return first.then(|| {
                 format!("samples of currents are missing: number {seq} came after {latest}; more are counted")
             });

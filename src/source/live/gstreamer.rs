@@ -22,7 +22,7 @@ use gstreamer::{self as gst, ClockTime, MessageView};
 use gstreamer_app::AppSink;
 use gstreamer_video::{
     VideoChromaSite, VideoColorMatrix, VideoColorRange, VideoFormat, VideoFrameExt as _, VideoFrameRef, VideoInfo,
-    VideoTransferFunction,
+    VideoInterlaceMode, VideoTransferFunction,
 };
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -268,6 +268,11 @@ fn layout(sample: &gst::Sample) -> Result<Layout, String> {
         });
     }
     let info = VideoInfo::from_caps(&caps).map_err(|e| e.to_string())?;
+    if info.interlace_mode() != VideoInterlaceMode::Progressive {
+        let text =
+            "its pictures are interlaced: odd and even rows are taken at different times; choose a progressive mode";
+        return Err(text.to_owned());
+    }
     let found = FORMATS.iter().find(|(_, format, _)| *format == info.format());
     let (_, _, pixel) = found.ok_or_else(|| format!("pictures of format {} are not read", info.format()))?;
     Ok(Layout { size_px: [info.width(), info.height()], pixel: *pixel, info: Some(info), caps: caps.clone() })

@@ -22,6 +22,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use v4l::buffer::{Flags, Metadata, Type};
 use v4l::control::{Control, Value};
+use v4l::format::FieldOrder;
 use v4l::format::{Colorspace, Quantization, TransferFunction};
 use v4l::frameinterval::FrameIntervalEnum;
 use v4l::framesize::FrameSizeEnum;
@@ -280,6 +281,14 @@ fn set_format(name: &str, device: &Device, settings: &CameraSettings) -> Result<
     if got.fourcc.repr != code {
         let (asked, taken) = (letters(code), letters(got.fourcc.repr));
         tracing::warn!("{name}: pixel format: {asked} requested, the camera uses {taken}");
+    }
+    // Drivers without a choice may leave it open.
+    if !matches!(got.field_order, FieldOrder::Any | FieldOrder::Progressive) {
+        return Err(format!(
+            "its pictures are interlaced ({}): odd and even rows are taken at different times; choose a progressive \
+             mode",
+            got.field_order
+        ));
     }
     Ok(got)
 }
