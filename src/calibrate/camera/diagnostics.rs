@@ -149,7 +149,7 @@ pub enum CameraDiagnostic {
 }
 
 /// How many σ some terms of the board's shape are from zero; `first`: index of the first of them.
-pub(super) fn significance(terms: &[f64], covariance: &DMatrix<f64>, first: usize) -> f64 {
+fn significance(terms: &[f64], covariance: &DMatrix<f64>, first: usize) -> f64 {
     let covariance = covariance.view((first, first), (terms.len(), terms.len())).into_owned();
     chi_square(&DVector::from_row_slice(terms), covariance).map_or(0.0, |chi2| sigmas(chi2, terms.len()))
 }

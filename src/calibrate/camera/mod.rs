@@ -21,11 +21,11 @@ mod two_lenses;
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::{LeftOut, UsedPicture, left_out_lines, worst_picture};
 use crate::calibrate::bundle::pose::{pose_from_opencv, spread_rad};
-use crate::calibrate::bundle::shape::{PRINT, Shape, UNEVEN_TERMS};
+use crate::calibrate::bundle::shape::{PRINT, Shape};
 use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::Lens;
-use diagnostics::{CameraDiagnostic, significance};
+use diagnostics::CameraDiagnostic;
 use models::Model;
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2};
 use opencv::calib3d;
@@ -34,8 +34,6 @@ use two_lenses::{TwoLenses, two_lenses};
 
 /// Fewest pictures: three boards at different tilts determine a lens without distortion; with it, five are the minimum.
 const FEWEST_PICTURES: usize = 5;
-/// How many σ from an even print one is uneven.
-const SHOWS_UNEVEN: f64 = 2.0;
 /// Boards that all differ less in direction leave the focal length undetermined.
 const MIN_TILT_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 /// A focal length with a larger relative σ counts as unknown.
@@ -213,7 +211,7 @@ pub fn calibrate_camera(
         let all: Vec<usize> = (0..used.len()).collect();
         let uneven = Bundle { shape: even.shape.that_may_be_uneven(), ..even.of_pictures(&all, &corners) }.solve();
         let is_open = uneven.is_err();
-        let solved = uneven.ok().filter(is_uneven).unwrap_or_else(|| even.clone());
+        let solved = uneven.unwrap_or_else(|_| even.clone());
         let of_pictures = by_picture(&solved, &used);
         let Some((worst, off)) = worst_picture(&of_pictures) else {
             let mut done = conclude(&solved, of_pictures, left_out, first.size_px)?;
@@ -245,12 +243,6 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
         }
     }
     (used, left_out)
-}
-
-/// Whether the print shows to be uneven. One that does not is taken to be even: what pictures leave open of it would
-/// make σ of the principal point up to twice as large.
-fn is_uneven(solved: &Solution) -> bool {
-    significance(solved.shape.uneven_m(), &solved.shape_covariance, UNEVEN_TERMS.start) > SHOWS_UNEVEN
 }
 
 /// Where pictures have two lenses, the one found is neither: its error is about its distance from them.
