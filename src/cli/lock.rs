@@ -10,7 +10,7 @@ use std::path::Path;
 #[must_use = "it is held as long as this lives"]
 pub(in crate::cli) struct Lock(
     #[cfg(unix)]
-    #[allow(dead_code, reason = "closing it gives the lock free")]
+    #[allow(dead_code, reason = "dropping it releases the lock")]
     Option<File>,
 );
 

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 
 /// Rows that are kept: a minute at 60 Hz.
-const MAX_ROWS: usize = 3600;
+const MAX_SHOWN: usize = 3600;
 /// Samples of currents that are kept.
 const MAX_CURRENTS: usize = 3600;
 
@@ -46,7 +46,7 @@ impl Latest {
                 return;
             }
         };
-        if left.rows.len() >= MAX_ROWS {
+        if left.rows.len() >= MAX_SHOWN {
             left.rows.pop_front();
         }
         left.rows.push_back(Arc::clone(estimate));
@@ -147,8 +147,8 @@ mod tests {
             let colour = crate::source::Colour::SRGB;
             Arc::new(Picture::from_planes(1, 1, crate::source::PixelFormat::Grey, colour, vec![vec![0]]).unwrap())
         };
-        (0..MAX_ROWS as u64 + 9).for_each(|seq| latest.put(&row(seq), Some(&grey())));
-        assert_eq!((latest.rows_after(None).len(), latest.rows_after(None)[0].seq), (MAX_ROWS, 9));
+        (0..MAX_SHOWN as u64 + 9).for_each(|seq| latest.put(&row(seq), Some(&grey())));
+        assert_eq!((latest.rows_after(None).len(), latest.rows_after(None)[0].seq), (MAX_SHOWN, 9));
         assert!(latest.picture().is_none());
         latest.put(&row(9000), Some(&grey()));
         latest.put(&row(9001), Some(&grey()));

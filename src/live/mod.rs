@@ -63,7 +63,7 @@ use writer::{Entry, Log};
 const STOP_TIMEOUT: Duration = Duration::from_secs(4);
 /// How often the caller's thread looks around.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// How often it tells how it goes.
+/// How often the status is reported.
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 /// A tracker that fell behind is urgent again when it has passed over no frame for so long.
 const RECOVERY: Duration = Duration::from_secs(5);
@@ -390,6 +390,7 @@ fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut RowOutputs) -> Opti
         }
         while let Some(warning) = tracker.warning() {
             tracing::warn!("{warning}");
+            out.counters.warn(warning);
         }
     }
 }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 /// Latencies up to ten seconds are told apart.
 const LONGEST_US: u64 = 10_000_000;
-/// So long no frame may come without being told, and so many times the usual step between two.
+/// Silence longer than this, and than this many usual steps between frames, is reported.
 const SILENCE: Duration = Duration::from_secs(2);
 const SILENCE_STEPS: u32 = 3;
 /// The same before the first frame.
@@ -53,6 +53,8 @@ pub struct Status {
     pub pictures: Option<(u64, u64)>,
     /// All drift alarms so far.
     pub alarms: Vec<AlarmInWords>,
+    /// What the tracker has warned of so far.
+    pub warnings: Vec<String>,
 }
 
 /// The counters of a run.
@@ -70,6 +72,7 @@ struct Counts {
     reported_frames: u64,
     recent: Histogram<u64>,
     whole: Histogram<u64>,
+    warnings: Vec<String>,
 }
 
 impl Counters {
@@ -78,7 +81,8 @@ impl Counters {
     pub(super) fn new(tally: Tally, clock: HostClock) -> Result<Self, hdrhistogram::CreationError> {
         let histogram = || Histogram::new_with_bounds(1, LONGEST_US, 3);
         let (recent, whole) = (histogram()?, histogram()?);
-        let counts = Counts { tally, latest: None, pace: Pace::new(Instant::now()), reported_frames: 0, recent, whole };
+        let pace = Pace::new(Instant::now());
+        let counts = Counts { tally, latest: None, pace, reported_frames: 0, recent, whole, warnings: Vec::new() };
         Ok(Self { clock, counts: Mutex::new(counts) })
     }
 
@@ -95,6 +99,11 @@ impl Counters {
         counts.latest = Some(Arc::clone(estimate));
         counts.pace.frame(Instant::now());
         due.then(|| counts.tally.totals())
+    }
+
+    /// Keeps a warning, for who looks later.
+    pub(super) fn warn(&self, warning: String) {
+        self.lock().warnings.push(warning);
     }
 
     /// How it goes; the counts of new frames begin again.
@@ -116,6 +125,7 @@ impl Counters {
             theta_rad: angle.map(|d| (d.theta_rad, d.theta_sd_rad)),
             markers: (located, counts.tally.markers.len()),
             alarms: counts.tally.alarms().collect(),
+            warnings: counts.warnings.clone(),
             ..Status::default()
         };
         counts.reported_frames = counts.tally.frames;

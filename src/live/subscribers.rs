@@ -68,7 +68,7 @@ impl Subscribers {
         let _ = self.line.try_send(Published::Current(sample.clone()));
     }
 
-    /// Counts the rows that they were not given. Who only counts must not keep the line: it would never end.
+    /// Counts the rows that they were not given. A counter must not hold the line: its thread would never end.
     pub(super) fn missed(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.missed)
     }

@@ -25,12 +25,20 @@ pub(super) struct Course {
     pub path: Path,
 }
 
-/// Positions of the markers in some evenly spaced frames: mm, `None` where a marker is missing.
+/// Positions of the markers in some evenly spaced frames: mm, `None` where a marker is missing; all of them `None` where
+/// frames were lost between.
 #[derive(Default)]
 pub(super) struct Path {
     pub places_mm: Vec<Vec<Option<Point3<f64>>>>,
     /// One in this many frames is kept.
     pub every: u64,
+    /// Whether frames were lost since the last one.
+    is_broken: bool,
+}
+
+/// Nothing is known: a line is broken here.
+fn is_break(places: &[Option<Point3<f64>>]) -> bool {
+    places.iter().all(Option::is_none)
 }
 
 /// A value over time.
@@ -162,6 +170,7 @@ impl Course {
     }
 
     fn add_to_path(&mut self, estimate: &Estimate) {
+        self.path.is_broken |= estimate.gap > 0;
         if !(self.frames - 1).is_multiple_of(self.path.every) {
             return;
         }
@@ -173,11 +182,16 @@ impl Course {
         let places = estimate.markers.iter().map(place).collect();
         if self.path.places_mm.len() >= MAX_PATH {
             let mut keep = false;
-            self.path.places_mm.retain(|_| {
+            self.path.places_mm.retain(|places| {
                 keep = !keep;
-                keep
+                keep || is_break(places)
             });
+            self.path.places_mm.dedup_by(|next, last| is_break(next) && is_break(last));
             self.path.every *= 2;
+        }
+        if self.path.is_broken {
+            self.path.places_mm.push(vec![None; estimate.markers.len()]);
+            self.path.is_broken = false;
         }
         self.path.places_mm.push(places);
     }

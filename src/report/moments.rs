@@ -103,8 +103,8 @@ impl Moments {
             return match frames {
                 0 => String::new(),
                 _ => format!(
-                    "{title}<p>This run kept no pictures, so none are shown. A live run keeps them with \
-                     <code>--record</code>: track that recording to see them here.</p>\n"
+                    "{title}<p>The report of a live run shows no pictures. Those that it recorded \
+                     (<code>--record</code>) can be tracked, and are shown in that report.</p>\n"
                 ),
             };
         };

@@ -27,7 +27,7 @@ pub enum SceneError {
     },
     /// The catheter is too short for the rig's bands.
     #[error(
-        "the first band would begin {off_mm:.1} mm inside of the clamp: flexible_mm of the catheter, or centre_mm of \
+        "the first band would begin {off_mm:.1} mm inside the clamp: flexible_mm of the catheter, or centre_mm of \
              the rig's markers, is wrong"
     )]
     BehindClamp {
@@ -51,9 +51,9 @@ pub enum SceneError {
              out of the rig to be simulated"
     )]
     RollingShutter,
-    /// The camera is inside of a tank.
+    /// The camera is inside a tank.
     #[error(
-        "the camera is inside of the tank: surface `{surface}` has it {inside_mm:.0} mm behind its outer face; its \
+        "the camera is inside the tank: surface `{surface}` has it {inside_mm:.0} mm behind its outer face; its \
              normal must point to the camera's side, and offset_mm be negative"
     )]
     CameraInside {

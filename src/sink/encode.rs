@@ -3,9 +3,9 @@
 //! Times are rounded to whole microseconds (1/60 000 s with the MPEG-4 part 2 encoder, its finest unit): at most 0.5 µs
 //! (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
 
-use super::SinkError;
 use super::clock::{Origin, Rising};
 use super::colour::FromBgr;
+use super::{SinkError, settle_written};
 use crate::source::quiet_libav;
 use ffmpeg_the_third as av;
 use std::ffi::OsString;
@@ -126,7 +126,8 @@ impl VideoWriter {
         self.phase = Phase::Finished;
         // The trailer makes the file playable even if the encoder failed.
         let ended = self.output.write_trailer().map_err(self.failed("completing"));
-        flushed.and(ended)
+        flushed.and(ended)?;
+        settle_written(&self.path)
     }
 
     fn start(&mut self, origin: Origin) -> Result<(), SinkError> {

@@ -228,6 +228,13 @@ fn settle(file: &File) -> io::Result<()> {
     if file.metadata()?.is_file() { file.sync_all() } else { Ok(()) }
 }
 
+/// The same of a file that a library has written.
+fn settle_written(path: &Path) -> Result<(), SinkError> {
+    // A pipe would wait for a writer.
+    let settled = path.metadata().and_then(|there| if there.is_file() { settle(&File::open(path)?) } else { Ok(()) });
+    settled.map_err(|error| SinkError::io(path, error))
+}
+
 /// A copy ([`io::Error`] is not `Clone`).
 fn same_error(error: &io::Error) -> io::Error {
     match error.raw_os_error() {

@@ -15,7 +15,7 @@
 use super::clock::Rising;
 use super::colour::{ConvertError, FromBgr, ToBgr};
 use super::encode::would_block;
-use super::{Sink, SinkError};
+use super::{Sink, SinkError, settle_written};
 use crate::estimate::Estimate;
 use crate::source::{
     ChromaSiting, Colour, Matrix, ORIGIN_TAG, Picture, PixelFormat, Plane, Range, Transfer, quiet_libav,
@@ -190,7 +190,8 @@ impl Sink for PictureVideo {
         let flushed = running.encoder.send_eof().map_err(failed("encoding"));
         let flushed = flushed.and_then(|()| running.drain().map_err(failed("writing")));
         let ended = running.output.write_trailer().map_err(failed("completing"));
-        flushed.and(ended)
+        flushed.and(ended)?;
+        settle_written(&self.path)
     }
 }
 

@@ -58,8 +58,8 @@ pub struct ImageFolder {
     faults: StreamFaults,
 }
 
-/// Pictures further apart hardly show a catheter move: their times are in another unit. At 600 per second milliseconds
-/// taken for seconds make more of it.
+/// Pictures further apart hardly show a catheter move: their times are probably in another unit. Milliseconds read as
+/// seconds give 1.67 s even at 600 frames per second.
 const SLOW_S: f64 = 1.5;
 
 impl ImageFolder {

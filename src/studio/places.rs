@@ -51,7 +51,7 @@ impl Places {
             let root = self.root.display();
             Refusal::forbidden(format!("{text}: is not below {root}, where the studio was started"))
         };
-        // Whether something is there outside is nobody's business.
+        // Do not reveal whether something exists outside.
         match path.canonicalize() {
             Ok(whole) if self.is_inside(&whole) => Ok(whole),
             Ok(_) => Err(refused()),

@@ -4,6 +4,7 @@ use super::desk::Desk;
 use super::run::{Row, Run};
 use super::{Refusal, Reply, scene, veto};
 use crate::estimate::{Miss, plain_words};
+use crate::sink::Origin;
 use crate::source::times::seconds;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -48,12 +49,12 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
     let theta = |pick: fn(&(f64, f64)) -> f64| -> Vec<Value> {
         run.rows.iter().map(|row| row.theta.as_ref().map_or(Value::Null, |t| short(pick(t).to_degrees()))).collect()
     };
+    let origin = Origin::of_first(first_ns);
     // To the microsecond.
-    let to_us_s = |ns: i64| (ns.saturating_sub(first_ns) / 1000) as f64 / 1e6;
-    let since_first_s = |ns: i64| seconds(ns.saturating_sub(first_ns));
+    let to_us_s = |ns: i64| (origin.elapsed_ns(ns) / 1000) as f64 / 1e6;
     let alarm = |(ns, over_ns, what): &(i64, Option<i64>, String)| {
-        let over_s = over_ns.map(since_first_s);
-        json!({ "t_s": since_first_s(*ns), "over_s": over_s, "what": what })
+        let over_s = over_ns.map(|ns| origin.elapsed_s(ns));
+        json!({ "t_s": origin.elapsed_s(*ns), "over_s": over_s, "what": what })
     };
     let (vetoes, vetoes_of_none) = veto::standing(&run)?;
     Ok(Reply::Json(json!({

@@ -19,7 +19,7 @@ use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 use tokio::sync::oneshot;
 
-/// What the page sends is shorter, bytes.
+/// Longest request body, bytes.
 const MAX_BODY: usize = 256 * 1024;
 /// But for a picture of up to 48 MB that is dropped in: it comes in base64.
 const MAX_PICTURE: usize = 48 * 1024 * 1024 / 3 * 4 + MAX_BODY;

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
-/// A comment is shorter, bytes.
+/// Longest comment, bytes.
 const MAX_COMMENT_BYTES: usize = 500;
 
 #[derive(Debug, Deserialize)]

@@ -120,6 +120,7 @@ impl Watch {
                     "t_s": seconds(alarm.ns), "over_s": alarm.over_ns.map(seconds),
                     "what": alarm.what, "advice": alarm.advice,
                 })).collect::<Vec<_>>(),
+                "warnings": status.warnings,
             },
         }))
     }

@@ -147,7 +147,7 @@ fn rms(squares: &Squares) -> f64 {
 
 /// Shift of the reference band in space, across the line of sight, per shift of its image.
 fn point_from_pixel(image: &TubeImage) -> Matrix3x2<f64> {
-    image.at_arc(0.0).d_point.pseudo_inverse(1e-12).unwrap_or_else(|_| Matrix3x2::zeros())
+    image.at_arc(0.0).d_point().pseudo_inverse(1e-12).unwrap_or_else(|_| Matrix3x2::zeros())
 }
 
 /// The shift of the reference band's image that a view alone would give, and its covariance.

@@ -32,13 +32,16 @@ pub(crate) struct Knot {
     /// Derivatives of the position across and along the axis, and of the bulge, with respect to the shape parameters,
     /// pixels. A tube that turns towards the camera shows rounder rings.
     pub d_local: [ShapeStep; LOCAL],
-    /// d pixel / d point, pixels per metre.
-    pub d_point: Matrix2x3<f64>,
     /// The point nearby that was last projected.
     projected: Projection,
 }
 
 impl Knot {
+    /// d pixel / d point, pixels per metre.
+    pub(crate) fn d_point(&self) -> &Matrix2x3<f64> {
+        &self.projected.d_pixel
+    }
+
     /// Unit vectors across the axis and along it, in the picture.
     pub(crate) fn axes(&self) -> [Vector2<f64>; 2] {
         let along = self.along / self.scale;
@@ -140,7 +143,6 @@ impl TubeImage {
                 swept: Vector2::new(way.dot(&across), way.dot(&unit)).map(|way| way * way / 12.0),
                 d_local: [d_pixel.tr_mul(&across), d_pixel.tr_mul(&unit), d_bulge.transpose()],
                 d_pixel,
-                d_point: seen.d_pixel,
                 projected: seen,
             });
         }

@@ -40,8 +40,8 @@ const STILL_A: f64 = 1e-6;
 const STILL_RAD: f64 = 1e-6;
 /// Error energy of a reduced model at most, over that of the full one, when the number of states is not given.
 const NEARLY: f64 = 1.25;
-/// Part of the currents' motion that must tell them apart: a table of 0.1 mA makes less of two that are one, and a
-/// response two hundred times less certain is none.
+/// Least share of the currents' variation that must tell coils apart: rounding to 0.1 mA makes less of two that are
+/// one, and with less the response would be 200 times less certain.
 const APART: f64 = 5e-3;
 /// Samples for each coefficient of an output.
 const SAMPLES_PER_COEFFICIENT: usize = 5;

@@ -7,12 +7,12 @@
 use crate::sink::CurrentSample;
 use crate::source::times::seconds;
 
-/// A sample stamped so long after its arrival comes from another clock.
+/// A sample whose time is this much after its arrival is by another clock.
 const AHEAD_NS: i64 = 5_000_000;
-/// Samples of which none arrives sooner after its time hardly are late on their way: their clock is behind. The same
-/// holds for samples of which none arrives sooner than so much later than earlier ones.
+/// If no sample arrives sooner than this after its time, that is not transport: the sender's clock is behind. Likewise
+/// if all come this much later than earlier ones.
 const BEHIND_NS: i64 = 200_000_000;
-/// Samples are compared over so long, by their arrival.
+/// Length of the windows that are compared, by arrival.
 const WINDOW_NS: i64 = 2_000_000_000;
 
 /// Delays from the times of samples to their arrivals.

@@ -102,14 +102,14 @@ impl FromStr for CurrentSource {
                 None => Ok(Self::Serial(device.into(), BAUD)),
                 Some((device, baud)) => match baud.parse() {
                     Ok(baud) => Ok(Self::Serial(device.into(), baud)),
-                    Err(_) => wrong("the speed of the line is a whole number, as 115200"),
+                    Err(_) => wrong("the speed of the line is a whole number, such as 115200"),
                 },
             },
             Some(("file", table)) if !table.is_empty() => Ok(Self::File(table.into())),
             Some(("ros2", topic)) if topic.len() > 1 && topic.starts_with('/') && !topic.ends_with('/') => {
                 Ok(Self::Ros2 { topic: topic.to_owned(), domain: 0, everywhere: false })
             }
-            Some(("ros2", _)) => wrong("the topic has its whole name, as /coil/joint_states"),
+            Some(("ros2", _)) => wrong("the topic has its whole name, such as /coil/joint_states"),
             _ => wrong("no source of currents"),
         }
     }

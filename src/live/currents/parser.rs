@@ -22,7 +22,7 @@ const MAX_COILS: usize = 64;
 const MAX_SAMPLE_AGE_NS: i64 = 60_000_000_000;
 /// Senders that are counted apart.
 const MAX_SENDERS: usize = 64;
-/// A header is shorter, bytes.
+/// Longest header, bytes.
 const LONGEST_HEADER: u64 = 1 << 16;
 
 /// The columns of a table with this first line.
@@ -78,7 +78,7 @@ pub(super) struct Parser {
     /// Lines of whole numbers between commas, before the first with a decimal point.
     whole_numbers: u64,
     decimal_points: bool,
-    /// Who has sent datagrams, and how many; who sent the last; whether several computers send, or programs by turns.
+    /// Who has sent datagrams, and how many; who sent the last; whether several computers send, or programs that alternate.
     senders: BTreeMap<SocketAddr, u64>,
     last_sender: Option<SocketAddr>,
     in_turn: bool,
@@ -137,7 +137,7 @@ impl Parser {
         self.report();
     }
 
-    /// Counts a datagram. A program may send each from another port; two programs that send come back by turns.
+    /// Counts a datagram. A program may send each from another port; two programs that send alternate.
     fn count(&mut self, sender: SocketAddr) {
         let last = self.last_sender.replace(sender);
         let (name, here, many) = (&self.name, sender.ip(), self.senders.len());
@@ -147,7 +147,9 @@ impl Parser {
                 *datagrams += 1;
                 if let Some(other) = last.filter(|other| *other != sender && !self.in_turn) {
                     self.in_turn = true;
-                    tracing::warn!("{name}: currents come from {other} and {sender} by turns: two programs send them");
+                    tracing::warn!(
+                        "{name}: currents come from {other} and {sender} alternately: two programs send them"
+                    );
                 }
             }
             None if many == MAX_SENDERS => {}

@@ -53,7 +53,7 @@ pub struct PictureWindows {
     pub width: u32,
     /// Height of the picture, pixels.
     pub height: u32,
-    /// Meaning of planes 0, 1, 2: `yuv` or `rgb`.
+    /// Meaning of planes 0, 1, 2: `yuv` or `rgb`; of one plane, `grey`.
     pub planes: String,
     /// log2 of the pixels per chroma sample in x; 0 for `rgb`.
     pub chroma_log2_x: u32,

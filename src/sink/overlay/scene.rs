@@ -172,7 +172,7 @@ impl Scene {
         let (first, second) = (line(14.0), line(30.0));
         canvas.text(first, &caption, 9.0, [235, 235, 235], Anchor::Left)?;
         if band.is_none() {
-            canvas.text(second, "not seen", 9.0, PALETTE.miss, Anchor::Left)?;
+            canvas.text(second, "not measured", 9.0, PALETTE.miss, Anchor::Left)?;
         }
         Ok(())
     }

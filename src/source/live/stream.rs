@@ -35,7 +35,7 @@ pub struct Stream {
     size_px: [u32; 2],
     clock: HostClock,
     fit: ClockFit,
-    /// Whether it was said that frames are late.
+    /// Whether the warning about late frames was given.
     late_named: bool,
     /// Of a stream without times.
     arrivals: Arrivals,

@@ -270,17 +270,24 @@ export class Calibrate {
 
   /** Pictures that are dropped in are kept, then looked at one by one. */
   async take(files) {
-    for (const file of files.filter((f) => KINDS.test(f.name))) {
+    const refused = [];
+    for (const file of files) {
       say(`Keeping ${file.name} …`);
-      const { picture } = await ask("board/keep", {
-        folder: this.folder.value,
-        name: file.name,
-        base64: await base64(file),
-      });
-      await this.add(picture);
+      try {
+        if (!KINDS.test(file.name)) throw new Error(`${file.name}: is no picture`);
+        const { picture } = await ask("board/keep", {
+          folder: this.folder.value,
+          name: file.name,
+          base64: await base64(file),
+        });
+        await this.add(picture);
+      } catch (error) {
+        refused.push(error.message);
+      }
     }
-    const others = files.filter((f) => !KINDS.test(f.name));
-    if (others.length) say(`${others[0].name}: is no picture`, true);
+    const kept = files.length - refused.length;
+    if (refused.length) say(`${kept} of ${files.length} kept. ${refused.join("; ")}`, true);
+    else say(`${kept} kept in ${this.folder.value}.`);
   }
 
   async useFolder() {

@@ -5,8 +5,10 @@ import { css, el, redrawer, sharp } from "./common.js";
 
 const LEFT = 54;
 const BOTTOM = 20;
-const TOP = 8;
+const TOP = 20;
 const RIGHT = 8;
+// Seconds: some frames of a fast camera.
+const NEAREST_S = 0.05;
 
 /** A round number near a tenth, a fifth or a half of a power of ten. */
 function step(range, count) {
@@ -18,10 +20,15 @@ function step(range, count) {
 const digits = (value, by) =>
   value.toFixed(Math.max(0, Math.min(6, -Math.floor(Math.log10(by) + 1e-9)))).replace("-", "−");
 
+/** Bars where frames were lost: from the one before to the one after. */
+export const lostBars = (x, gap) =>
+  x.flatMap((x1, i) => (gap[i] > 0 ? [{ x0: x[i - 1] ?? x1, x1, colour: css("--gap") }] : []));
+
 export class Plot {
   /**
-   * lines: [{ x: [], y: [], sd?: [], colour, name, dash? }]; marks: [{ x: [], colour, shape }] at the lower edge,
-   * shared: { from, to, cursor } in seconds, which several plots have in common.
+   * lines: [{ x: [], y: [], sd?: [], lost?: [], colour, name, dash? }], where frames are lost before a point the line
+   * is broken; marks: [{ x: [], colour, shape }] at the lower edge; bars: [{ x0, x1, colour }] behind the lines;
+   * shared: { from, to, cursor, whole? } in seconds, which several plots have in common.
    */
   constructor(label, unit, shared, picked) {
     this.canvas = el("canvas", { tabIndex: 0, role: "img", "aria-label": label });
@@ -49,7 +56,7 @@ export class Plot {
         high = Math.max(high, y[i] + off);
       }
     }
-    if (!(low <= high)) return [0, 1];
+    if (!(low <= high)) return null;
     const margin = (high - low) * 0.06 || Math.abs(high) * 0.1 || 0.5;
     return [low - margin, high + margin];
   }
@@ -57,7 +64,8 @@ export class Plot {
   draw() {
     const { context, width, height } = sharp(this.canvas);
     const { from, to, cursor } = this.shared;
-    const [low, high] = this.range();
+    const range = this.range();
+    const [low, high] = range ?? [0, 1];
     const [w, h] = [width - LEFT - RIGHT, height - TOP - BOTTOM];
     if (w < 20 || h < 20 || !(to > from)) return;
     const px = (t) => LEFT + ((t - from) / (to - from)) * w;
@@ -75,7 +83,7 @@ export class Plot {
     const wide = step(high - low, count);
     // One number is no scale.
     const by = labels(wide) > 1 ? wide : step(high - low, 2 * count);
-    for (let v = Math.ceil(low / by) * by; v <= high; v += by) {
+    for (let v = Math.ceil(low / by) * by; range && v <= high; v += by) {
       context.globalAlpha = 0.5;
       context.beginPath();
       context.moveTo(LEFT, py(v));
@@ -114,8 +122,6 @@ export class Plot {
           context.moveTo(at + 4, TOP + 4);
           context.lineTo(at - 4, TOP + 12);
           context.stroke();
-        } else if (shape === "flag") {
-          context.fillRect(at - 1, TOP, 2, h);
         } else {
           context.fillRect(at - 1.2, TOP + h - 9, 2.4, 9);
         }
@@ -130,12 +136,13 @@ export class Plot {
       context.stroke();
     }
     context.restore();
-    context.globalAlpha = 0.8;
-    context.fillStyle = css("--ground");
-    context.fillRect(LEFT + 3, TOP, context.measureText(this.unit).width + 6, 17);
-    context.globalAlpha = 1;
     context.fillStyle = css("--ink");
-    context.fillText(this.unit, LEFT + 6, TOP + 12);
+    context.fillText(this.unit, LEFT, TOP - 6);
+    if (!range && this.lines.length) {
+      context.fillStyle = css("--quiet");
+      context.textAlign = "center";
+      context.fillText("nothing was measured here", LEFT + w / 2, TOP + h / 2);
+    }
   }
 
   line(context, line, px, py) {
@@ -171,7 +178,7 @@ export class Plot {
 
   /** What was measured without a gap: on the screen from left to right, least and most of what falls on one pixel,
    * its σ. */
-  pieces({ x, y, sd }, px) {
+  pieces({ x, y, sd, lost }, px) {
     const { from, to } = this.shared;
     const pieces = [];
     let piece = null;
@@ -182,6 +189,7 @@ export class Plot {
         piece = null;
         continue;
       }
+      if (lost?.[i]) piece = null;
       const t = Math.round(px(x[i]) * 2) / 2;
       const last = piece?.at(-1);
       if (last && last[0] === t) {
@@ -214,16 +222,20 @@ export class Plot {
     let held = null;
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
-      held = { x: event.clientX, from: shared.from, to: shared.to, moved: false };
+      held = { x: event.clientX, y: event.clientY, from: shared.from, to: shared.to, moved: false };
     });
     canvas.addEventListener("pointermove", (event) => {
       if (!held || !this.picked) return;
-      held.moved ||= Math.abs(event.clientX - held.x) > 4;
+      held.moved ||= Math.hypot(event.clientX - held.x, event.clientY - held.y) > 4;
       if (!held.moved) return;
       const shift = ((event.clientX - held.x) / (canvas.clientWidth - LEFT - RIGHT)) * (held.to - held.from);
-      [shared.from, shared.to] = [held.from - shift, held.to - shift];
+      const [first, last] = shared.whole ?? [-Infinity, Infinity];
+      const from = Math.max(first, Math.min(last - (held.to - held.from), held.from - shift));
+      [shared.from, shared.to] = [from, from + held.to - held.from];
       this.all();
     });
+    // The page is scrolled by touch.
+    canvas.addEventListener("pointercancel", () => (held = null));
     canvas.addEventListener("pointerup", (event) => {
       if (held && !held.moved) this.picked?.(this.time(event));
       held = null;
@@ -251,6 +263,7 @@ export class Plot {
 
   zoom(at, factor) {
     const { shared } = this;
+    if (factor < 1 && shared.to - shared.from < NEAREST_S) return;
     [shared.from, shared.to] = [at - (at - shared.from) * factor, at + (shared.to - at) * factor];
     const [first, last] = shared.whole ?? [-Infinity, Infinity];
     [shared.from, shared.to] = [Math.max(first, shared.from), Math.min(last, shared.to)];

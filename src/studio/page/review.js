@@ -14,7 +14,7 @@ import {
   say,
   swatch,
 } from "./common.js";
-import { Plot } from "./plot.js";
+import { Plot, lostBars } from "./plot.js";
 import { Space } from "./scene.js";
 import { Stage, label, outline } from "./stage.js";
 
@@ -79,6 +79,7 @@ export class Review {
       this.veto().catch(complain);
     };
     this.drift = el("div", {});
+    this.missing = el("p", { class: "bad", hidden: true });
     const pictures = el("div", { class: "pictures" }, this.stage.element, this.space.element);
     const left = el(
       "div",
@@ -91,6 +92,7 @@ export class Review {
         this.playButton,
         button("›", () => this.go(this.row + 1)),
         button("next miss", () => this.nextMiss()),
+        button("whole run", () => this.theta.whole()),
         this.slider,
         this.at,
       ),
@@ -117,6 +119,7 @@ export class Review {
           button("Open …", () => choose("Runs", ["run"], (path) => this.compare(path).catch(complain))),
           button("None", () => this.compare(null).catch(complain)),
         ),
+        this.missing,
       ),
       el("section", {}, el("h2", {}, "This frame"), this.words),
       el(
@@ -148,7 +151,7 @@ export class Review {
       from: t[0] ?? 0,
       to: last > (t[0] ?? 0) ? last : 1,
       whole: [t[0] ?? 0, last],
-      cursor: 0,
+      cursor: null,
     });
     this.slider.max = Math.max(0, t.length - 1);
     fill(
@@ -164,6 +167,8 @@ export class Review {
         : [el("p", {}, this.run.note ?? "None was noticed.")]),
     );
     this.vetoes = this.run.vetoes;
+    this.missing.hidden = !this.run.cut;
+    this.missing.textContent = `Not all of this run can be read: ${this.run.cut}`;
     this.plots();
     say(
       this.run.cut
@@ -172,7 +177,8 @@ export class Review {
       Boolean(this.run.cut),
     );
     this.element.dataset.rows = t.length;
-    this.go(0);
+    if (t.length) this.go(0);
+    else this.empty("This run has no rows.");
   }
 
   async compare(path) {
@@ -186,13 +192,15 @@ export class Review {
   plots() {
     const { run, other } = this;
     const { t_s: x } = run;
-    const lines = [{ x, y: run.theta_deg, sd: run.sd_deg, colour: css("--m3"), name: "θ" }];
+    const lines = [{ x, y: run.theta_deg, sd: run.sd_deg, lost: run.gap, colour: css("--ink"), name: "θ" }];
     if (other)
       lines.push({
-        x: other.t_s,
+        // From the beginning of this run.
+        x: other.t_s.map((t) => t - other.t_s[0] + x[0]),
+        lost: other.gap,
         y: other.theta_deg,
         sd: other.sd_deg,
-        colour: css("--m1"),
+        colour: css("--quiet"),
         name: "the other run",
         dash: [6, 4],
       });
@@ -201,15 +209,16 @@ export class Review {
       colour: css(REASONS[k % REASONS.length]),
       shape: "tick",
     }));
-    marks.push({ x: x.filter((_, i) => run.gap[i] > 0), colour: css("--gap"), shape: "flag" });
     marks.push({ x: x.filter((_, i) => this.vetoes[this.seq(i)] !== undefined), colour: css("--bad"), shape: "cross" });
     const bars = run.alarms.map((alarm) => ({ x0: alarm.t_s, x1: alarm.over_s ?? x.at(-1), colour: css("--bad") }));
+    bars.push(...lostBars(x, run.gap));
     this.theta.set(lines, marks, bars);
     const strokes = [[], [5, 3], [2, 3]];
     this.residual.set(
       run.residuals.map(({ band, view, px }) => ({
         x,
         y: px,
+        lost: run.gap,
         colour: onPage(run.markers.indexOf(band)),
         name: `${band} in ${view}`,
         dash: strokes[run.views.indexOf(view) % 3],
@@ -218,8 +227,8 @@ export class Review {
     const lost = run.gap.reduce((sum, gap) => sum + gap, 0);
     fill(
       this.legend,
-      el("span", {}, swatch(css("--m3")), "θ ± σ"),
-      other ? el("span", {}, swatch(css("--m1")), `compared (dashes): ${other.run}`) : null,
+      el("span", {}, swatch(css("--ink")), "θ ± σ"),
+      other ? el("span", {}, swatch(css("--quiet")), `compared (dashes): ${other.run}`) : null,
       ...run.reasons.map((reason, k) =>
         el(
           "span",
@@ -229,7 +238,8 @@ export class Review {
         ),
       ),
       lost ? el("span", {}, swatch(css("--gap")), `frames lost (${lost})`) : null,
-      ...run.markers.map((marker, m) =>
+      Object.keys(this.vetoes).length ? el("span", { class: "bad" }, "× vetoed") : null,
+      ...(run.views.length ? run.markers : []).map((marker, m) =>
         el(
           "span",
           {},
@@ -257,26 +267,46 @@ export class Review {
   }
 
   go(row) {
-    if (!this.run) return;
+    if (!this.run?.t_s.length) return;
     this.row = Math.min(this.run.t_s.length - 1, Math.max(0, row));
     this.slider.value = this.row;
     this.shared.cursor = this.run.t_s[this.row];
-    this.at.textContent = `row ${this.row}  ${this.shared.cursor?.toFixed(3)} s`;
+    this.at.textContent = `row ${this.row}  ${this.shared.cursor.toFixed(3)} s`;
     this.theta.all();
     this.load(this.row);
   }
 
   nextMiss() {
     const next = this.run?.miss.findIndex((miss, i) => i > this.row && miss !== null) ?? -1;
-    if (next >= 0) this.go(next);
-    else say("No frame without θ comes after this one.");
+    if (next >= 0) {
+      this.go(next);
+      say("");
+    } else say("No frame without θ comes after this one.");
+  }
+
+  /** No frame is shown, for a reason. */
+  empty(why) {
+    this.found = null;
+    if (this.playing) this.play();
+    this.at.textContent = "";
+    this.stage.show(null, this.stage.size);
+    this.space.set(this.run.set_up, null);
+    fill(this.words, el("p", { class: "bad" }, why));
+    delete this.element.dataset.row;
   }
 
   async showRow(row) {
-    const found = await ask("run/frame", { run: this.path, row, version: this.run.version });
+    let found;
     let picture = null;
-    if (found.recording)
-      picture = await askPicture("frame", { recording: found.recording, frame: found.frame, width: null });
+    try {
+      found = await ask("run/frame", { run: this.path, row, version: this.run.version });
+      if (found.recording)
+        picture = await askPicture("frame", { recording: found.recording, frame: found.frame, width: null });
+    } catch (error) {
+      // What was found in another frame does not stand for this one.
+      this.empty(`Row ${row} is not known: ${error.message}`);
+      throw error;
+    }
     this.found = { ...found, row };
     if (picture) this.stage.show(picture, [picture.width, picture.height]);
     else this.stage.show(null, this.stage.size);
@@ -379,7 +409,7 @@ export class Review {
   }
 
   play() {
-    if (!this.run) return;
+    if (!this.run?.t_s.length) return;
     this.playing = !this.playing;
     this.playButton.setAttribute("aria-pressed", String(this.playing));
     this.playButton.textContent = this.playing ? "Stop" : "Play";

@@ -54,6 +54,8 @@ export class Stage {
 
   draw() {
     const { context, width, height } = sharp(this.canvas);
+    // A finger scrolls the page, unless there is something to move here.
+    this.canvas.style.touchAction = this.zoom > 1 || this.grab ? "none" : "pan-y";
     context.fillStyle = "#101316";
     context.fillRect(0, 0, width, height);
     const { scale, left, top } = this.place();

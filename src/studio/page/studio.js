@@ -71,7 +71,9 @@ try {
     return button;
   });
   fill(tabs, ...buttons);
-  const first = state.live || state.camera ? 0 : state.run ? 2 : 1;
+  // A rig without a recording is one that is being made.
+  const calibrates = state.live || state.camera || (state.rig && !state.recording && !state.run);
+  const first = calibrates ? 0 : state.run ? 2 : 1;
   show(views[first][1], buttons[first]);
   document.body.dataset.ready = "yes";
 } catch (error) {

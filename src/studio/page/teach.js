@@ -463,7 +463,8 @@ export class Teach {
 
   /** Something of the form is another: what was seen with the old one is not true any more. */
   changed() {
-    [this.whole] = [null];
+    this.whole = null;
+    this.looks = new Map();
     const all = this.bands.every((band) => this.picks.some((pick) => pick.band === band.name));
     if (all && this.picks.length) this.preview();
     this.refresh(false);

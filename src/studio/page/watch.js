@@ -1,7 +1,7 @@
 // A live run.
 
 import { ask, bitmap, complain, css, el, fill, onPage, overPicture, say, swatch } from "./common.js";
-import { Plot } from "./plot.js";
+import { Plot, lostBars } from "./plot.js";
 import { Stage, label, outline } from "./stage.js";
 
 const SECONDS = 20;
@@ -78,6 +78,9 @@ export class Watch {
           el(
             "div",
             { class: "legend" },
+            el("span", {}, swatch(css("--ink")), "θ ± σ"),
+            el("span", {}, swatch(css("--miss")), "no θ"),
+            el("span", {}, swatch(css("--gap")), "frames lost"),
             AXES.map((axis, k) => el("span", {}, swatch(onPage(k)), `tip ${axis}`)),
           ),
           this.coils.element,
@@ -128,6 +131,12 @@ export class Watch {
     }
   }
 
+  /** Whether the run can be told what to do. */
+  reachable(yes) {
+    for (const button of [this.record, this.pause]) button.disabled = !yes;
+    this.how.disabled = !yes || Boolean(this.recording?.on);
+  }
+
   tellRecording(state, pictures) {
     if (!state) return;
     this.recording = state;
@@ -167,14 +176,19 @@ export class Watch {
       const reply = await ask("watch", { after: this.after, currents_after: this.currentsAfter });
       this.take(reply);
       if (!this.there) say("Watching.");
+      this.reachable(true);
       this.there = true;
     } catch (error) {
       this.there = false;
-      say(`The run is over, or the program is not reached: ${error.message}`, true);
-      this.big.textContent = "θ – not watched";
+      say(`The run is over, or the program is not reached: ${error.message}. The report is in ${this.live.folder}.`);
+      this.big.textContent = "θ – the run is over, or not reached";
       this.big.classList.add("bad");
       this.said = null;
+      this.recordingSaid = null;
+      fill(this.figures, el("p", { class: "quiet" }, "As it was is in the report, not here."));
       fill(this.alarms, el("p", { class: "bad" }, "Not known: the program does not answer."));
+      fill(this.recorded, el("p", { class: "quiet" }, "Not known."));
+      this.reachable(false);
       setTimeout(() => this.follow(), 1000);
       return;
     }
@@ -222,25 +236,25 @@ export class Watch {
     const x = this.rows.map((row) => row.t_s - origin);
     Object.assign(this.shared, { from: -SECONDS, to: 0 });
     const missed = x.filter((_, i) => !this.rows[i].theta_deg);
-    const gaps = x.filter((_, i) => this.rows[i].gap > 0);
+    const lost = this.rows.map((row) => row.gap);
     this.theta.set(
       [
         {
           x,
           y: this.rows.map((row) => row.theta_deg?.[0] ?? null),
           sd: this.rows.map((row) => row.theta_deg?.[1] ?? 0),
-          colour: css("--m3"),
+          lost,
+          colour: css("--ink"),
         },
       ],
-      [
-        { x: missed, colour: css("--miss"), shape: "tick" },
-        { x: gaps, colour: css("--gap"), shape: "flag" },
-      ],
+      [{ x: missed, colour: css("--miss"), shape: "tick" }],
+      lostBars(x, lost),
     );
     this.tip.set(
       AXES.map((_, k) => ({
         x,
         y: this.rows.map((row) => row.tip_mm?.[k] ?? null),
+        lost,
         colour: onPage(k),
         dash: [[], [5, 3], [2, 3]][k],
       })),
@@ -277,9 +291,9 @@ export class Watch {
       [`${status.rate} / s`, "in the last second"],
       [status.lost, "lost by the camera"],
       [status.skipped, "passed over"],
-      [ms(status.p50_ms), "arrival to θ, median"],
-      [ms(status.p99_ms), "99 of 100 within"],
-      [ms(status.max_ms), "longest"],
+      [ms(status.p50_ms), "arrival to θ, median of the last second"],
+      [ms(status.p99_ms), "99 of 100 within, last second"],
+      [ms(status.max_ms), "longest of the last second"],
       [missed, `without θ in ${SECONDS} s`],
       [status.backlog, "rows wait for the disk"],
     ];
@@ -295,6 +309,7 @@ export class Watch {
     const over = status.alarms
       .filter((alarm) => alarm.over_s !== null)
       .map((alarm) => `over, from ${alarm.t_s.toFixed(1)} s to ${alarm.over_s.toFixed(1)} s: ${alarm.what}`);
+    words.push(...status.warnings);
     if (silent)
       words.push("no frames come\nLook at the camera, its cable or the sender of the stream; the run waits for them");
     if (status.skipped)
@@ -312,7 +327,7 @@ export class Watch {
       ...(words.length
         ? words.map((word) => {
             const [what, cure] = word.split("\n");
-            return el("div", { class: "alarm" }, el("b", {}, what), el("div", {}, cure));
+            return el("div", { class: "alarm" }, el("b", {}, what), el("div", {}, cure ?? ""));
           })
         : [el("p", { class: "good" }, "None.")]),
       ...over.map((word) => el("p", { class: "quiet" }, word)),
