@@ -12,7 +12,7 @@ use super::model::Noise;
 use super::model::{Orders, Polynomials, angle};
 use super::model_error::ModelError;
 use super::modelled::{Modelled, Role, bandwidths};
-use super::periodic::{self, Periodic};
+use super::periodic::{self, Periodic, Repeats};
 use super::reduce::{Reduced, Reduction, Target, reduce, reduce_in_band};
 use super::residuals::Residuals;
 use super::search::{Candidate, Criterion, best, search};
@@ -52,6 +52,7 @@ pub(crate) fn identify_with_progress(
     progress("searching orders and delay");
     let Chosen { candidates, criterion, orders: best } = choose(&training, &validation, settings)?;
     // 2. the full model
+    repeats(data, settings)?;
     progress("fitting the full model");
     let (orders, arx, full) = fit_full(&training, &candidates, criterion, best, settings.estimator)?;
     let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
@@ -387,6 +388,18 @@ pub(super) fn fits(
         let at_rest = record.at_rest();
         for model in models {
             for kind in kinds {
+/// Checks that the input of each record repeats, where it is said to.
+fn repeats(data: &Data, settings: &Settings) -> Result<(), IdentifyError> {
+    let Some(Repeats { every_s, skip }) = settings.repeats else { return Ok(()) };
+    for record in &data.training {
+        if let Some(unrepeated) = periodic::unrepeated(&record.segments, data.period_s, every_s, skip) {
+            let problem = unrepeated.in_words(every_s);
+            return Err(IdentifyError::NotRepeated { name: record.name.clone(), every_s, problem });
+        }
+    }
+    Ok(())
+}
+
                 let record = if kind == Kind::Simulation(InitialState::Rest) { &at_rest } else { record };
                 // Only the full model has a noise model for prediction.
                 if kind == Kind::Prediction && model.role != Role::Full {

@@ -282,6 +282,15 @@ pub enum WayBack {
 /// An error, of which large figures say nothing.
 fn left_over(error_percent: f64) -> String {
     if error_percent > MOST_PERCENT {
+    /// Many lines of a repeating input do not stand out of its noise.
+    NoisyLines {
+        /// The record.
+        record: String,
+        /// How many.
+        noisy: usize,
+        /// Of how many.
+        of: usize,
+    },
         return format!("more than {MOST_PERCENT:.0} %");
     }
     format!("{error_percent:.0} %")
@@ -518,3 +527,8 @@ mod tests {
         assert!(poor(60.0).starts_with("ARX: its simulation leaves 60 % of the energy"));
     }
 }
+            Self::NoisyLines { record, noisy, of } => write!(
+                f,
+                "{record}: {noisy} of {of} lines of the input do not stand out of its noise and are left out: if the \
+                 input has these lines, average more periods"
+            ),

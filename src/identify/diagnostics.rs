@@ -29,6 +29,8 @@ const NEARLY_UNSTABLE: f64 = 1e-4;
 const FIRST_PERIOD_LIMIT: f64 = 2.0;
 /// Significance limit of a residual beyond noise, in σ.
 const SIGNIFICANT_SD: f64 = 3.3;
+/// Part of a repeating input's lines that may be lost in noise before it is told.
+const MANY_LINES: f64 = 0.2;
 /// Seconds from sample to sample of hardly any record of a catheter: a unit may be wrong.
 const SLOW_S: f64 = 0.2;
 /// Number of periods from which the expressions for estimated variances hold (see `periodic`).
@@ -130,7 +132,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
     if let Some(model) = done.leading() {
         diagnostics.extend(model.continuous.as_ref().and_then(|h| delaying_zero(&model.title, h, data.period_s)));
     }
-    diagnostics.extend(of_periods(done));
+    diagnostics.extend(of_periods(data, done));
     let refined = done.refined.as_ref().ok().map(|r| (Role::Refined, r));
     let refined = refined.into_iter().chain(done.periodic.as_ref().map(|p| (Role::Periodic, &p.refined)));
     for (role, refined) in done.full.as_ref().map(|r| (Role::Full, r)).into_iter().chain(refined) {
@@ -159,7 +161,7 @@ fn left_of(done: &Identification, commanded: bool) -> Vec<Diagnostic> {
 }
 
 /// Diagnostics of averaged periods.
-fn of_periods(done: &Identification) -> Vec<Diagnostic> {
+fn of_periods(data: &Data, done: &Identification) -> Vec<Diagnostic> {
     let Some(found) = &done.periodic else { return Vec::new() };
     let mut diagnostics = Vec::new();
     let worst = found.records.iter().max_by(|a, b| a.first_off.total_cmp(&b.first_off));
@@ -179,6 +181,12 @@ fn of_periods(done: &Identification) -> Vec<Diagnostic> {
 /// Records to judge by that a model simulates worse than zero would, although it simulates those it was fitted to.
 fn strange_records(done: &Identification) -> Vec<Diagnostic> {
     let Some(model) = done.models.iter().rfind(|m| m.is_stable()) else { return Vec::new() };
+    for (record, averaged) in data.training.iter().zip(&found.records) {
+        let (noisy, of) = (averaged.noisy, averaged.noisy + averaged.lines.len());
+        if noisy as f64 > MANY_LINES * of as f64 {
+            diagnostics.push(Diagnostic::NoisyLines { record: record.name.clone(), noisy, of });
+        }
+    }
     let mut records: Vec<Diagnostic> = Vec::new();
     let simulated = done.fits.iter().filter(|f| f.role == model.role && matches!(f.kind, Kind::Simulation(_)));
     let (fitted, judging): (Vec<_>, Vec<_>) = simulated.partition(|f| f.training);
