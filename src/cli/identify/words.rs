@@ -58,7 +58,7 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
         provenance.input, provenance.output, orders.na, orders.nb, orders.nk
     )?;
     if let Some(criterion) = done.criterion {
-        write!(text, ", the best of {} by {}", done.candidates.len(), format!("{criterion:?}").to_lowercase())?;
+        write!(text, ", of {} tried: {}", done.candidates.len(), criterion.rule())?;
     }
     writeln!(text, "; {:.6} s per sample", data.period_s)?;
     table_1(text, done, provenance)?;
