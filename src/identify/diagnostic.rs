@@ -195,6 +195,34 @@ pub enum Diagnostic {
         /// χ² of that over its limit.
         times: f64,
     },
+    /// What the refined model leaves has a mean or trend: it has no σ.
+    Straight {
+        /// The model.
+        title: String,
+        /// χ² of that over its limit.
+        times: f64,
+    },
+    /// A lower order explains the data about as well.
+    LowerOrder {
+        /// The model.
+        title: String,
+        /// The order.
+        order: usize,
+    },
+    /// A higher order explains the data clearly better: the refined model has no σ.
+    HigherOrder {
+        /// The model.
+        title: String,
+        /// The order.
+        order: usize,
+    },
+    /// The refined model does not confirm the reduced one, which has no σ.
+    ReducedDiffers {
+        /// The model.
+        title: String,
+        /// By how much, in σ; `None` where the refined model has none either.
+        sigmas: Option<f64>,
+    },
     /// The output answers sooner than the shortest delay that was searched: the refined model has no σ.
     Sooner {
         /// The model.
@@ -254,6 +282,15 @@ pub enum Diagnostic {
         /// Residual relative to noise.
         left: f64,
     },
+    /// Many lines of a repeating input do not stand out of its noise.
+    NoisyLines {
+        /// The record.
+        record: String,
+        /// How many.
+        noisy: usize,
+        /// Of how many.
+        of: usize,
+    },
     /// Too few periods for reliable σ.
     FewPeriods {
         /// How many.
@@ -282,15 +319,6 @@ pub enum WayBack {
 /// An error, of which large figures say nothing.
 fn left_over(error_percent: f64) -> String {
     if error_percent > MOST_PERCENT {
-    /// Many lines of a repeating input do not stand out of its noise.
-    NoisyLines {
-        /// The record.
-        record: String,
-        /// How many.
-        noisy: usize,
-        /// Of how many.
-        of: usize,
-    },
         return format!("more than {MOST_PERCENT:.0} %");
     }
     format!("{error_percent:.0} %")
@@ -436,6 +464,29 @@ impl fmt::Display for Diagnostic {
                  the noise of the output is not white, and ARX where its own residuals are not; use a record without \
                  feedback"
             ),
+            Self::Straight { title, times } => write!(
+                f,
+                "{title}: what its simulation leaves has a mean or trend, {times:.1} times as much as noise explains: \
+                 it has no σ, since its coefficients are bent by that. --detrend mean or --detrend linear takes it off"
+            ),
+            Self::LowerOrder { title, order } => write!(
+                f,
+                "{title}: a model of order {order} explains the data about as well: what this one has more is hardly \
+                 known. --reduce {order} gives it, and a smaller σ"
+            ),
+            Self::HigherOrder { title, order } => write!(
+                f,
+                "{title}: a model of order {order} explains the data better by more than noise does: this one lacks a \
+                 mode. It has no σ, since its coefficients are off by that; raise --reduce"
+            ),
+            Self::ReducedDiffers { title, sigmas: Some(sigmas) } => write!(
+                f,
+                "{title}: its response differs from that of the refined model by up to {sigmas:.1} σ: it has no σ, \
+                 which would not contain what noise of the output biases ARX by. Use the refined model"
+            ),
+            Self::ReducedDiffers { title, sigmas: None } => {
+                write!(f, "{title}: it has no σ, since the refined model has none")
+            }
             Self::Sooner { title, nk } => write!(
                 f,
                 "{title}: the output seems to come before the input: nk {nk}, less than was searched, explains the \
@@ -494,6 +545,11 @@ impl fmt::Display for Diagnostic {
                 "what the model leaves of the periods' lines is {left:.2} times what noise explains: what repeats is \
                  not linear, or of a higher order (--reduce); σ is widened by the root of that"
             ),
+            Self::NoisyLines { record, noisy, of } => write!(
+                f,
+                "{record}: {noisy} of {of} lines of the input do not stand out of its noise and are left out: if the \
+                 input has these lines, average more periods"
+            ),
             Self::FewPeriods { periods } => {
                 write!(
                     f,
@@ -527,8 +583,3 @@ mod tests {
         assert!(poor(60.0).starts_with("ARX: its simulation leaves 60 % of the energy"));
     }
 }
-            Self::NoisyLines { record, noisy, of } => write!(
-                f,
-                "{record}: {noisy} of {of} lines of the input do not stand out of its noise and are left out: if the \
-                 input has these lines, average more periods"
-            ),
