@@ -106,6 +106,16 @@ fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
         .map(|file| Recording::read(file))
         .collect::<Result<Vec<_>, _>>()
         .map_err(|e| failure(e.into()))?;
+    for (k, (one, file)) in recordings.iter().zip(&args.observed).enumerate() {
+        let same = recordings.iter().take(k).position(|before| before.frames == one.frames);
+        if let Some(before) = same.and_then(|before| args.observed.get(before)) {
+            tracing::warn!(
+                "{} and {} have the same frames: is one of them another run?",
+                before.display(),
+                file.display()
+            );
+        }
+    }
     let starts = (0..runs).map(|k| args.start.get(k).or(args.start.first()).copied());
     let observed: Vec<Observed<'_>> = recordings
         .iter()

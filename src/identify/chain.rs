@@ -5,23 +5,28 @@ use super::data::{Data, Record, Segment};
 use super::diagnostics::diagnostics;
 use super::estimated::{Estimated, Refined};
 use super::fit::{InitialState, Kind, compare};
-use super::identification::{Fit, Identification};
+use super::identification::{Differs, Fit, Identification};
 use super::initial::initial_models;
 use super::left::{self, Left};
 use super::model::Noise;
 use super::model::{Orders, Polynomials, angle};
 use super::model_error::ModelError;
-use super::modelled::{Modelled, Role, bandwidths};
-use super::periodic::{self, Periodic};
+use super::modelled::{BodePoint, Modelled, Role, bandwidths};
+use super::other_orders::compared;
+use super::periodic::{self, Periodic, Repeats};
 use super::reduce::{Reduced, Reduction, Target, reduce, reduce_in_band};
 use super::residuals::Residuals;
 use super::search::{Candidate, Criterion, best, search};
 use super::settings::{Choice, Estimator, Settings};
-use super::shortest::{Delayed, as_well, is_better, shortest};
+use super::shortest::{as_well, is_better, shortest};
 use super::spectrum::spectrum;
 use super::uncertainty::Covariance;
-use super::whitened::Whitened;
-use super::{IdentifyError, arx, instrumental, output_error};
+use super::{IdentifyError, arx, instrumental, other_orders, output_error};
+use std::f64::consts::TAU;
+
+/// Difference of the reduced model from the refined one, in σ, from which its σ is not given. Where σ is right, fewer
+/// than one in twenty lie beyond.
+const DIFFERS_SD: f64 = 2.0;
 
 /// Identifies.
 ///
@@ -48,6 +53,7 @@ pub(crate) fn identify_with_progress(
     }
     moves(&data.training)?;
     can_judge(&validation, &settings.choice)?;
+    repeats(data, settings)?;
     // 1. orders and delay
     progress("searching orders and delay");
     let Chosen { candidates, criterion, orders: best } = choose(&training, &validation, settings)?;
@@ -66,45 +72,56 @@ pub(crate) fn identify_with_progress(
     let mut models = vec![modelled(Role::Full, title, &estimated.model, Some(estimated.covariance.clone()))];
     // 3. fewer states
     let band = (!settings.all_frequencies).then_some(excited);
-    let how = Reduction { target: settings.target, removal: settings.removal, band };
-    let reduced = reduce_in_band(&estimated.model, how);
-    let unstable_in_band = matches!(reduced, Ok((_, true)));
-    let how = if unstable_in_band { Reduction { band: None, ..how } } else { how };
-    let reduced = reduced.map(|(reduced, _)| reduced).map_err(|e| e.to_string());
-    let mut refined = Err("there is no reduced model to begin from".to_owned());
-    let mut other_delays = Vec::new();
-    let mut earlier_delay = None;
     // By Eq. 6 the output's noise is in its own input.
     let of_output = training.iter().any(|s| s.instrument.is_some());
+    let delays = delays(&settings.choice);
+    let attempt = |target: Target| {
+        progress("fitting the refined model");
+        Attempt::of(&training, estimated, Reduction { target, removal: settings.removal, band }, excited, &delays)
+    };
+    let mut attempt_taken = attempt(settings.target);
+    let lower = |taken: &Attempt| {
+        let found = taken.refined.as_ref().ok().filter(|_| !of_output)?;
+        other_orders::lowest(&training, &found.refined)
+    };
+    let mut lower_order = lower(&attempt_taken);
+    if let (Target::Auto, Some(order)) = (settings.target, lower_order) {
+        attempt_taken = attempt(Target::Order(order));
+        lower_order = None;
+    }
+    let Attempt { how, unstable_in_band, reduced, refined: found } = attempt_taken;
     if let Ok(reduced) = &reduced {
         let covariance = reduced_covariance(estimated, reduced, how);
         let title = format!("reduced, order {}", reduced.model.order());
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
-        // 4. the same order fitted to the data itself
-        progress("fitting the refined model");
-        let how = Reduction { band: how.band.or(Some(excited)), ..how };
-        let found = refine_reduced(&training, estimated, reduced, how, &delays(&settings.choice));
-        refined = found.map_err(|e| e.to_string()).map(|found| {
-            other_delays = found.others;
-            earlier_delay = found.earlier.filter(|_| !of_output);
-            found.refined
-        });
     }
+    // 4. the same order fitted to the data itself
+    let other_delays = found.as_ref().map_or_else(|_| Vec::new(), |found| found.others.clone());
+    let earlier_delay = found.as_ref().ok().and_then(|found| found.earlier).filter(|_| !of_output);
+    let refined = found.map(|found| found.refined);
     let mut model_error = None;
     let mut left = None;
+    let mut higher_order = None;
     if let Ok(refined) = &refined {
         let Estimated { model, covariance, .. } = &refined.estimated;
         model_error = ModelError::of(&training, estimated, &refined.estimated, settings.initial_state);
         let title = format!("refined, order {}", model.order());
-        let shortest = delays(&settings.choice).first().copied().unwrap_or(model.nk);
+        let shortest = delays.first().copied().unwrap_or(model.nk);
         // By Eq. 6 what is left follows the input by its own noise.
         left = if of_output { None } else { Left::of(&training, model, shortest) };
-        let doubted = left.is_some_and(|left| left.follows() || !settings.commanded && left.is_fed_back());
-        // Its errors are those of its order, of rows that are shifted, or of feedback; a σ of noise would be wrong.
+        let doubted = left
+            .is_some_and(|left| left.follows() || left.is_off_centre() || !settings.commanded && left.is_fed_back());
         let sound = model_error.is_none() && earlier_delay.is_none() && !doubted;
+        if sound && !of_output {
+            higher_order = other_orders::higher(&training, refined);
+        }
+        // Its errors are those of its order, of a mean, of rows that are shifted, or of feedback; a σ of noise would be
+        // wrong.
+        let sound = sound && higher_order.is_none();
         let covariance = sound.then(|| covariance.clone());
         models.push(modelled(Role::Refined, title, model, covariance));
     }
+    let reduced_differs = reduced_differs(&mut models, excited_hz);
     // 5. averaged periods, where the input repeats
     if settings.repeats.is_some() {
         progress("averaging periods");
@@ -133,6 +150,9 @@ pub(crate) fn identify_with_progress(
         other_delays,
         earlier_delay,
         model_error,
+        lower_order,
+        higher_order,
+        reduced_differs,
         left,
         periodic,
         models,
@@ -219,36 +239,49 @@ fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Op
     full.covariance.propagate(full.model.parameters().as_slice(), parameters)
 }
 
-/// A refined model, and its deviance with the colour of noise that it is compared by.
-#[derive(Debug, Clone)]
-struct Tried {
-    refined: Refined,
-    deviance: f64,
+/// A reduction and what came of refining it.
+struct Attempt {
+    how: Reduction,
+    unstable_in_band: bool,
+    reduced: Result<Reduced, String>,
+    refined: Result<RefinedDelays, String>,
 }
 
-impl Delayed for Tried {
-    fn nk(&self) -> usize {
-        self.refined.estimated.model.nk
-    }
-
-    fn deviance(&self) -> f64 {
-        self.deviance
+impl Attempt {
+    fn of(training: &[Segment], full: &Estimated, how: Reduction, excited: (f64, f64), delays: &[usize]) -> Self {
+        let reduced = reduce_in_band(&full.model, how);
+        let unstable_in_band = matches!(reduced, Ok((_, true)));
+        let how = if unstable_in_band { Reduction { band: None, ..how } } else { how };
+        let reduced = reduced.map(|(reduced, _)| reduced).map_err(|e| e.to_string());
+        let in_band = Reduction { band: how.band.or(Some(excited)), ..how };
+        let refined = match &reduced {
+            Ok(reduced) => refine_reduced(training, full, reduced, in_band, delays).map_err(|e| e.to_string()),
+            Err(_) => Err("there is no reduced model to begin from".to_owned()),
+        };
+        Self { how, unstable_in_band, reduced, refined }
     }
 }
 
-/// Deviances of models of the same data. Taken for white, noise that is alike from sample to sample would make much of
-/// differences that are none: all are judged by the colour of what the nearest model leaves.
-fn compared(training: &[Segment], found: &[Refined]) -> Vec<Tried> {
-    let variance = |refined: &&Refined| refined.estimated.noise_variance;
-    let nearest = found.iter().min_by(|a, b| variance(a).total_cmp(&variance(b)));
-    let colour = nearest.and_then(|refined| left::colour(training, &refined.estimated.model));
-    let tried = |refined: &Refined| {
-        let Estimated { model, samples, noise_variance, .. } = &refined.estimated;
-        let whitened = colour.as_ref().and_then(|colour| Whitened::of(training, model, &[], colour));
-        let as_white = *samples as f64 * noise_variance.ln();
-        Tried { refined: refined.clone(), deviance: whitened.map_or(as_white, |whitened| whitened.deviance()) }
-    };
-    found.iter().map(tried).collect()
+/// Takes σ from the reduced model where the refined one differs from it by more than that allows, or has none: σ of ARX
+/// does not contain what noise of the output biases it by. Returns by how many σ, where that is known.
+fn reduced_differs(models: &mut [Modelled], excited_hz: (f64, f64)) -> Option<Differs> {
+    let refined = models.iter().find(|m| m.role == Role::Refined)?.clone();
+    let reduced = models.iter_mut().find(|m| m.role == Role::Reduced && m.covariance.is_some())?;
+    let sigmas = refined.covariance.as_ref().map(|_| {
+        let in_band = |p: &BodePoint| (excited_hz.0..=excited_hz.1).contains(&p.frequency_hz);
+        let both = reduced.bode.iter().zip(&refined.bode).filter(|(p, _)| in_band(p));
+        let off = both.filter_map(|(p, q)| {
+            let (gain_sd, phase_sd) = p.sd?;
+            let turn = (p.phase_rad - q.phase_rad).rem_euclid(TAU);
+            Some(((p.magnitude / q.magnitude).ln().abs() / gain_sd).max(turn.min(TAU - turn) / phase_sd))
+        });
+        off.fold(0.0, f64::max)
+    });
+    if sigmas.is_some_and(|sigmas| sigmas < DIFFERS_SD) {
+        return None;
+    }
+    reduced.forget_sigma();
+    Some(Differs { sigmas })
 }
 
 /// What came of refining.
@@ -351,6 +384,18 @@ fn moves(records: &[Record]) -> Result<(), IdentifyError> {
         let Some(first) = values.next() else { return Err(IdentifyError::Nothing { name }) };
         if values.all(|v| v == first) {
             return Err(IdentifyError::Still { name, what, value: first });
+        }
+    }
+    Ok(())
+}
+
+/// Checks that the input of each record repeats, where it is said to.
+fn repeats(data: &Data, settings: &Settings) -> Result<(), IdentifyError> {
+    let Some(Repeats { every_s, skip }) = settings.repeats else { return Ok(()) };
+    for record in &data.training {
+        if let Some(unrepeated) = periodic::unrepeated(&record.segments, data.period_s, every_s, skip) {
+            let problem = unrepeated.in_words(every_s);
+            return Err(IdentifyError::NotRepeated { name: record.name.clone(), every_s, problem });
         }
     }
     Ok(())

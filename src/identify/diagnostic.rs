@@ -195,6 +195,34 @@ pub enum Diagnostic {
         /// χ² of that over its limit.
         times: f64,
     },
+    /// What the refined model leaves has a mean or trend: it has no σ.
+    Straight {
+        /// The model.
+        title: String,
+        /// χ² of that over its limit.
+        times: f64,
+    },
+    /// A lower order explains the data about as well.
+    LowerOrder {
+        /// The model.
+        title: String,
+        /// The order.
+        order: usize,
+    },
+    /// A higher order explains the data clearly better: the refined model has no σ.
+    HigherOrder {
+        /// The model.
+        title: String,
+        /// The order.
+        order: usize,
+    },
+    /// The refined model does not confirm the reduced one, which has no σ.
+    ReducedDiffers {
+        /// The model.
+        title: String,
+        /// By how much, in σ; `None` where the refined model has none either.
+        sigmas: Option<f64>,
+    },
     /// The output answers sooner than the shortest delay that was searched: the refined model has no σ.
     Sooner {
         /// The model.
@@ -253,6 +281,15 @@ pub enum Diagnostic {
     BeyondNoise {
         /// Residual relative to noise.
         left: f64,
+    },
+    /// Many lines of a repeating input do not stand out of its noise.
+    NoisyLines {
+        /// The record.
+        record: String,
+        /// How many.
+        noisy: usize,
+        /// Of how many.
+        of: usize,
     },
     /// Too few periods for reliable σ.
     FewPeriods {
@@ -427,6 +464,29 @@ impl fmt::Display for Diagnostic {
                  the noise of the output is not white, and ARX where its own residuals are not; use a record without \
                  feedback"
             ),
+            Self::Straight { title, times } => write!(
+                f,
+                "{title}: what its simulation leaves has a mean or trend, {times:.1} times as much as noise explains: \
+                 it has no σ, since its coefficients are bent by that. --detrend mean or --detrend linear takes it off"
+            ),
+            Self::LowerOrder { title, order } => write!(
+                f,
+                "{title}: a model of order {order} explains the data about as well: what this one has more is hardly \
+                 known. --reduce {order} gives it, and a smaller σ"
+            ),
+            Self::HigherOrder { title, order } => write!(
+                f,
+                "{title}: a model of order {order} explains the data better by more than noise does: this one lacks a \
+                 mode. It has no σ, since its coefficients are off by that; raise --reduce"
+            ),
+            Self::ReducedDiffers { title, sigmas: Some(sigmas) } => write!(
+                f,
+                "{title}: its response differs from that of the refined model by up to {sigmas:.1} σ: it has no σ, \
+                 which would not contain what noise of the output biases ARX by. Use the refined model"
+            ),
+            Self::ReducedDiffers { title, sigmas: None } => {
+                write!(f, "{title}: it has no σ, since the refined model has none")
+            }
             Self::Sooner { title, nk } => write!(
                 f,
                 "{title}: the output seems to come before the input: nk {nk}, less than was searched, explains the \
@@ -484,6 +544,11 @@ impl fmt::Display for Diagnostic {
                 f,
                 "what the model leaves of the periods' lines is {left:.2} times what noise explains: what repeats is \
                  not linear, or of a higher order (--reduce); σ is widened by the root of that"
+            ),
+            Self::NoisyLines { record, noisy, of } => write!(
+                f,
+                "{record}: {noisy} of {of} lines of the input do not stand out of its noise and are left out: if the \
+                 input has these lines, average more periods"
             ),
             Self::FewPeriods { periods } => {
                 write!(

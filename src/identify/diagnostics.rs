@@ -5,7 +5,7 @@ use super::data::{Data, Record};
 use super::diagnostic::{Diagnostic, WayBack};
 use super::fit::{InitialState, Kind, best_gain};
 use super::frozen::frozen;
-use super::identification::{Fit, Identification};
+use super::identification::{Differs, Fit, Identification};
 use super::jump::jump;
 use super::model::{Orders, angle};
 use super::modelled::{ContinuousEstimate, Role};
@@ -29,6 +29,8 @@ const NEARLY_UNSTABLE: f64 = 1e-4;
 const FIRST_PERIOD_LIMIT: f64 = 2.0;
 /// Significance limit of a residual beyond noise, in σ.
 const SIGNIFICANT_SD: f64 = 3.3;
+/// Part of a repeating input's lines that may be lost in noise before it is told.
+const MANY_LINES: f64 = 0.2;
 /// Seconds from sample to sample of hardly any record of a catheter: a unit may be wrong.
 const SLOW_S: f64 = 0.2;
 /// Number of periods from which the expressions for estimated variances hold (see `periodic`).
@@ -127,10 +129,13 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
         diagnostics.push(Diagnostic::ModelError { title: model.title.clone(), error });
     }
     diagnostics.extend(left_of(done, commanded));
+    if let Some((model, Differs { sigmas })) = done.model(Role::Reduced).zip(done.reduced_differs) {
+        diagnostics.push(Diagnostic::ReducedDiffers { title: model.title.clone(), sigmas });
+    }
     if let Some(model) = done.leading() {
         diagnostics.extend(model.continuous.as_ref().and_then(|h| delaying_zero(&model.title, h, data.period_s)));
     }
-    diagnostics.extend(of_periods(done));
+    diagnostics.extend(of_periods(data, done));
     let refined = done.refined.as_ref().ok().map(|r| (Role::Refined, r));
     let refined = refined.into_iter().chain(done.periodic.as_ref().map(|p| (Role::Periodic, &p.refined)));
     for (role, refined) in done.full.as_ref().map(|r| (Role::Full, r)).into_iter().chain(refined) {
@@ -149,9 +154,19 @@ fn left_of(done: &Identification, commanded: bool) -> Vec<Diagnostic> {
     if let Some(nk) = done.earlier_delay {
         return vec![Diagnostic::Sooner { title, nk }];
     }
+    if let Some(order) = done.higher_order {
+        return vec![Diagnostic::HigherOrder { title, order }];
+    }
     let Some(left) = done.left else { return Vec::new() };
+    if left.is_off_centre() {
+        return vec![Diagnostic::Straight { title, times: left.straight }];
+    }
+    if let Some(order) = done.lower_order {
+        return vec![Diagnostic::LowerOrder { title, order }];
+    }
     // What follows the input before may seem to follow that after, which is like it.
-    if left.is_fed_back() && left.ahead > left.past && !commanded {
+    // A response that the order lacks is in both.
+    if left.is_fed_back() && left.ahead > left.past && !commanded && done.model_error.is_none() {
         return vec![Diagnostic::InInput { title, times: left.ahead }];
     }
     let told = left.follows() && done.model_error.is_none();
@@ -159,12 +174,18 @@ fn left_of(done: &Identification, commanded: bool) -> Vec<Diagnostic> {
 }
 
 /// Diagnostics of averaged periods.
-fn of_periods(done: &Identification) -> Vec<Diagnostic> {
+fn of_periods(data: &Data, done: &Identification) -> Vec<Diagnostic> {
     let Some(found) = &done.periodic else { return Vec::new() };
     let mut diagnostics = Vec::new();
     let worst = found.records.iter().max_by(|a, b| a.first_off.total_cmp(&b.first_off));
     if let Some(record) = worst.filter(|r| r.first_off > FIRST_PERIOD_LIMIT) {
         diagnostics.push(Diagnostic::NotSteady { off: record.first_off, skipped: record.skipped });
+    }
+    for (record, averaged) in data.training.iter().zip(&found.records) {
+        let (noisy, of) = (averaged.noisy, averaged.noisy + averaged.lines.len());
+        if noisy as f64 > MANY_LINES * of as f64 {
+            diagnostics.push(Diagnostic::NoisyLines { record: record.name.clone(), noisy, of });
+        }
     }
     if found.left > 1.0 + SIGNIFICANT_SD * found.left_sd {
         diagnostics.push(Diagnostic::BeyondNoise { left: found.left });
@@ -263,7 +284,9 @@ fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
 /// Whether the records differ in their gain.
 fn other_gains(data: &Data, done: &Identification) -> Option<Diagnostic> {
     let model = done.leading().filter(|model| model.is_stable())?;
-    let gain = |record: &Record| (record.name.clone(), best_gain(&model.model, &record.segments, InitialState::Rest));
+    // What the states contribute with which records begin is no gain.
+    let gain =
+        |record: &Record| (record.name.clone(), best_gain(&model.model, &record.segments, InitialState::Estimated));
     let gains: Vec<_> = data.training.iter().map(gain).filter(|(_, gain)| gain.is_finite()).collect();
     let least = gains.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
     let most = gains.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;

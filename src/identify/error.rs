@@ -66,6 +66,16 @@ pub enum IdentifyError {
         /// Why, with the record, and a remedy.
         problem: String,
     },
+    /// The input does not repeat with the period given.
+    #[error("{name}: --repeats {every_s}s: {problem}")]
+    NotRepeated {
+        /// The record.
+        name: String,
+        /// The period, seconds.
+        every_s: f64,
+        /// How much of the input changes, and the period with which it repeats.
+        problem: String,
+    },
     /// There is no sample.
     #[error("{name}: has no sample with input and output to identify from")]
     Nothing {

@@ -28,6 +28,14 @@ pub struct Fit {
     pub error: FitError,
 }
 
+/// A reduced model that the refined one does not confirm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Differs {
+    /// Largest difference of their responses in the excited band, in σ of the reduced model; `None` where the refined
+    /// model has no σ either.
+    pub sigmas: Option<f64>,
+}
+
 /// All results.
 #[derive(Debug, Clone)]
 pub struct Identification {
@@ -51,6 +59,12 @@ pub struct Identification {
     pub earlier_delay: Option<usize>,
     /// What the refined model's order cannot do, if that is more than noise: it then has no σ.
     pub model_error: Option<ModelError>,
+    /// A lower order with which the data are explained about as well.
+    pub lower_order: Option<usize>,
+    /// A higher order with which they are explained clearly better: the refined model then has no σ.
+    pub higher_order: Option<usize>,
+    /// Why the reduced model has no σ, where the refined model is the reason.
+    pub reduced_differs: Option<Differs>,
     /// Whether what the refined model leaves has to do with the input; `None` where that cannot be tested.
     pub left: Option<Left>,
     /// The model of the lines of averaged periods, if the input was declared to repeat.
@@ -85,7 +99,7 @@ impl Identification {
     pub fn matters(&self, diagnostic: &Diagnostic) -> bool {
         let of_full = match diagnostic {
             Diagnostic::AtEdge { what, .. } => *what != "nk",
-            Diagnostic::Coloured { .. } => true,
+            Diagnostic::Coloured { .. } | Diagnostic::ReducedDiffers { .. } => true,
             _ => false,
         };
         let has_sigma = self.model(Role::Refined).is_some_and(|refined| refined.covariance.is_some());

@@ -2,7 +2,7 @@
 //!
 //! In: the data, the refined model. Out: two χ² of what its residual follows: the input before, through the model's own
 //! poles, as a model of higher order would ([`Left::past`]); and the input after, which no system can know
-//! ([`Left::ahead`]): it was computed from the output.
+//! ([`Left::ahead`]): it was computed from the output. And one of a mean and a trend ([`Left::straight`]).
 //!
 //! Cannot tell: a response to the input of the same sample from an input computed from that sample. What is not linear
 //! follows the input, too.
@@ -22,6 +22,8 @@ const AHEAD: usize = 5;
 /// What noise explains in all but one of 10⁵ records, of 7 and 5 degrees of freedom.
 const LIMIT_PAST: f64 = 35.3;
 const LIMIT_AHEAD: f64 = 30.9;
+/// The same of 2.
+const LIMIT_STRAIGHT: f64 = 23.0;
 /// Less than this of the output's energy is told by no one: rounding, or a record without noise.
 const LEAST: f64 = 1e-6;
 
@@ -32,12 +34,15 @@ pub struct Left {
     pub past: f64,
     /// The same of the input after, if that says anything: it does not where the output is known to be in the input.
     pub ahead: f64,
+    /// The same of a straight line: a mean or trend that was not removed.
+    pub straight: f64,
 }
 
 impl Left {
     /// `None` without noise, and where there are too few samples. `shortest`: the least delay that may be.
     pub(super) fn of(segments: &[Segment], model: &Polynomials, shortest: usize) -> Option<Self> {
-        let colour = colour(segments, model)?;
+        let residuals = residuals(segments, model)?;
+        let colour = Colour::of(&residuals);
         let of_model = model.parameters().len();
         // What is before a delay that was chosen.
         let earlier = model.nk.saturating_sub(1).max(shortest);
@@ -65,6 +70,13 @@ impl Left {
             })
             .collect();
         let whitened = Whitened::of(segments, model, &further, &colour)?;
+        let last = segments.iter().map(|s| s.first + s.len()).max()?.max(1) as f64;
+        let line = |s: &Segment| {
+            DMatrix::from_fn(s.len(), 2, |t, column| if column == 0 { 1.0 } else { (s.first + t) as f64 / last })
+        };
+        let beside_it = Colour::of(&residuals.iter().map(|e| without_line(e)).collect::<Vec<_>>());
+        let by_line = Whitened::of(segments, model, &segments.iter().map(line).collect::<Vec<_>>(), &beside_it)?;
+        let straight = by_line.explained_by(of_model..of_model + 2) / LIMIT_STRAIGHT;
         let freedom = whitened.freedom();
         let past = of_model..of_model + INPUTS + OUTPUTS;
         let ahead = past.end + 1..past.end + 1 + AHEAD;
@@ -73,12 +85,17 @@ impl Left {
             // The limit of F for few samples, by its first term.
             whitened.explained_by(columns) / (limit * (1.0 + (limit - count + 2.0) / (2.0 * freedom)))
         };
-        (freedom > 50.0).then(|| Self { past: over(past, LIMIT_PAST), ahead: over(ahead, LIMIT_AHEAD) })
+        (freedom > 50.0).then(|| Self { past: over(past, LIMIT_PAST), ahead: over(ahead, LIMIT_AHEAD), straight })
     }
 
     /// Whether it follows the input before.
     pub(super) fn follows(&self) -> bool {
         self.past > 1.0
+    }
+
+    /// Whether a mean or trend was not removed.
+    pub(super) fn is_off_centre(&self) -> bool {
+        self.straight > 1.0
     }
 
     /// Whether it is in the input after.
@@ -89,13 +106,29 @@ impl Left {
 
 /// The colour of what a model leaves in simulation; `None` where that is next to nothing.
 pub(super) fn colour(segments: &[Segment], model: &Polynomials) -> Option<Colour> {
+    residuals(segments, model).map(|residuals| Colour::of(&residuals))
+}
+
+fn residuals(segments: &[Segment], model: &Polynomials) -> Option<Vec<Vec<f64>>> {
     let rows = linearised(segments, model, Derivatives::None);
     let residuals: Vec<Vec<f64>> =
         segments.iter().zip(rows).map(|(segment, rows)| derivatives_and_residual(segment, rows).1).collect();
     let squares = |values: &mut dyn Iterator<Item = f64>| values.filter(|v| !v.is_nan()).map(|v| v * v).sum::<f64>();
     let left = squares(&mut residuals.iter().flatten().copied());
     let all = squares(&mut segments.iter().flat_map(|segment| &segment.output).copied());
-    (left > LEAST * all).then(|| Colour::of(&residuals))
+    (left > LEAST * all).then_some(residuals)
+}
+
+/// A residual without its mean and trend, which would be taken for noise that lasts.
+fn without_line(residual: &[f64]) -> Vec<f64> {
+    let mean = |of: &dyn Fn(f64, f64) -> f64| {
+        let seen = residual.iter().enumerate().filter(|(_, e)| !e.is_nan());
+        let (sum, count) = seen.fold((0.0, 0), |(sum, n), (t, e)| (sum + of(t as f64, *e), n + 1));
+        sum / f64::from(count.max(1))
+    };
+    let (middle, level) = (mean(&|t, _| t), mean(&|_, e| e));
+    let slope = mean(&|t, e| (t - middle) * (e - level)) / mean(&|t, _| (t - middle).powi(2)).max(f64::MIN_POSITIVE);
+    residual.iter().enumerate().map(|(t, e)| e - level - slope * (t as f64 - middle)).collect()
 }
 
 #[cfg(test)]
@@ -150,6 +183,8 @@ mod tests {
         for (rho, sd) in [(0.0, 0.05), (0.9, 0.05), (0.98, 0.02), (1.0, 0.01)] {
             let found: Vec<Left> = (0..100).map(|seed| left(record(seed, &second_order(), rho, sd))).collect();
             assert!(found.iter().all(|left| !left.follows() && !left.is_fed_back()), "{rho}: {found:?}");
+            // A walk has a trend, whatever becomes of it.
+            assert!(rho > 0.99 || !found.iter().any(Left::is_off_centre), "{rho}: {found:?}");
             // Mean χ² of 7 and 5 degrees of freedom, over the limits.
             let mean = |of: fn(&Left) -> f64| found.iter().map(of).sum::<f64>() / 100.0;
             let (past, ahead) = (mean(|l| l.past) * LIMIT_PAST / 7.0, mean(|l| l.ahead) * LIMIT_AHEAD / 5.0);
@@ -200,6 +235,40 @@ mod tests {
                 .iter()
                 .any(|d| matches!(d, Diagnostic::Follows { .. } | Diagnostic::ModelError { .. }));
             assert!(told, "{:?}", found.diagnostics);
+        }
+    }
+
+    /// From a tenth of the output's spread on, coefficients are off by more than 3 σ.
+    #[test]
+    fn a_mean_or_trend_that_was_not_taken_off_is_told_and_there_is_no_sigma() {
+        for seed in 0..5 {
+            for (mean, trend) in [(0.1, 0.0), (0.5, 0.0), (3.0, 0.0), (0.0, 0.5)] {
+                let mut one = record(seed, &second_order(), 0.0, 0.03);
+                one.output.iter_mut().enumerate().for_each(|(t, y)| *y += mean + trend * t as f64 / 1500.0);
+                let found = identified(one);
+                assert!(!has_sigma(&found), "{seed} {mean} {trend}: {:?}", found.left);
+            }
+        }
+    }
+
+    /// A second mode, of a fiftieth of the gain.
+    #[test]
+    fn a_weak_mode_that_the_model_lacks_is_told_and_one_too_many_too() {
+        for seed in 0..6 {
+            let weak = Polynomials { a: vec![1.0, -1.8265, 0.963], b: vec![0.001_38, 0.001_36], nk: 1 };
+            let mut two = record(seed, &second_order(), 0.0, 0.05);
+            let input = steps(seed, 1500, 3);
+            let both = weak.simulate(&input).into_iter().zip(second_order().simulate(&input));
+            two.output = both.zip(noise(seed, 1500)).map(|((w, y), e)| w + y + 0.02 * e).collect();
+            two.input = input;
+            let found = identified(two);
+            assert!(!has_sigma(&found), "{seed}: {:?}", found.left);
+            assert!(!found.diagnostics.iter().any(|d| matches!(d, Diagnostic::InInput { .. })), "{seed}");
+            let one = Polynomials { a: vec![1.0, -0.95], b: vec![0.05], nk: 1 };
+            let found = identified(record(seed, &one, 0.0, 0.05));
+            assert!(found.lower_order == Some(1) && has_sigma(&found), "{seed}: {:?}", found.lower_order);
+            let found = identified(record(seed, &second_order(), 0.8, 0.05));
+            assert!(found.lower_order.is_none() && found.higher_order.is_none(), "{seed}");
         }
     }
 

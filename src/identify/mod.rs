@@ -64,6 +64,7 @@ mod jump;
 mod left;
 pub(crate) mod modelled;
 mod nonlinear;
+mod other_orders;
 mod outliers;
 pub(crate) mod residuals;
 pub(crate) mod spectrum;

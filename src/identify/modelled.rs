@@ -150,6 +150,15 @@ impl Modelled {
         }
     }
 
+    /// Removes all that is derived from the covariance.
+    pub(super) fn forget_sigma(&mut self) {
+        self.covariance = None;
+        self.bode.iter_mut().for_each(|point| point.sd = None);
+        if let Some(continuous) = &mut self.continuous {
+            continuous.standard_errors = None;
+        }
+    }
+
     /// Whether simulations remain bounded.
     pub fn is_stable(&self) -> bool {
         self.largest_pole < 1.0

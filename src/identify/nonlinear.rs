@@ -85,7 +85,10 @@ impl fmt::Display for Nonlinear {
             Element::Gain(change) => {
                 let percent = 100.0 * change.abs();
                 let (more, why) = if *change < 0.0 {
-                    ("smaller", "does the amplifier, or something in the way, limit it?")
+                    (
+                        "smaller",
+                        "does the amplifier, or something in the way, limit it, or was the input measured with noise?",
+                    )
                 } else {
                     ("larger", "is there a dead zone, or friction?")
                 };

@@ -62,6 +62,18 @@ pub enum Criterion {
     Simulation,
 }
 
+impl Criterion {
+    /// The rule by which [`best`] chooses, for people.
+    pub(crate) fn rule(self) -> &'static str {
+        match self {
+            Self::Aic => "the least by Akaike's criterion",
+            Self::Mdl => "the least description length",
+            Self::Prediction => "the fewest coefficients within 5 % of the best prediction of the validation data",
+            Self::Simulation => "the fewest coefficients within 5 % of the best simulation of the validation data",
+        }
+    }
+}
+
 /// All candidates that `train` determines, in the order given.
 ///
 /// # Errors

@@ -86,7 +86,8 @@ pub(super) fn lines(periodic: &Periodic) -> io::Result<Vec<u8>> {
     let db_of_ln = 20.0 / 10_f64.ln();
     let model = &periodic.estimated().model;
     let rows = periodic.lines().map(|line| {
-        let (found, modelled, sd) = (line.response(), model.response(line.angle), line.relative_sd());
+        let (found, modelled, sd) =
+            (line.response(), model.response(line.angle), line.relative_sd().unwrap_or(f64::NAN));
         let numbers = [
             line.frequency_hz,
             found.norm(),

@@ -24,6 +24,7 @@ mod circle;
 mod error;
 mod lag;
 mod lead;
+mod lone;
 mod options;
 mod path;
 mod pauses;

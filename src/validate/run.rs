@@ -4,6 +4,7 @@ use super::align::{Alignment, rms};
 use super::circle::Circle;
 use super::error::ValidateError;
 use super::lag::{Lag, lag};
+use super::lone::lone;
 use super::options::Options;
 use super::path::DesiredPath;
 use super::pauses::{Mean, Sample};
@@ -207,9 +208,17 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     notes.extend(weak_correlation(lag.as_ref()));
     notes.extend(other_unit(&points, &wanted));
     notes.extend(few_frames(frames_per_period));
+    // Wrong frames at the same place of each period would look like the response.
+    let of_runs: Vec<Sample> =
+        samples.iter().filter(|(at, _)| (window.start_ns..window.end_ns()).contains(at)).copied().collect();
+    let lone = lone(&of_runs);
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
     let vetoed = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.status == VETOED);
     let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= window.at_ns(skipped)).count();
+    let sd = response_sd(path, &steps, (sd_m, seen), magnitude.as_ref());
+    let too_far = |sd: f64| lone.zip(magnitude).is_some_and(|(lone, size)| lone.mean_m > sd * size.observed_m);
+    let sound_sd = sd.filter(|sd| !too_far(*sd));
+    notes.extend(lone.map(|lone| lone.note(sd.is_some() && sound_sd.is_none())));
     Ok(Run {
         file: recording.path.clone(),
         marker: name,
@@ -237,7 +246,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         periods,
         tangent_rms_rad: tangent_rms_rad(path, recording, skipped, mean),
         scatter_m: scatter_m(counted.iter().flatten()),
-        response_sd: response_sd(path, &steps, (sd_m, seen), magnitude.as_ref()),
+        response_sd: sound_sd,
         sd_m,
         notes,
         steps,

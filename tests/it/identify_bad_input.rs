@@ -58,6 +58,13 @@ fn data_that_cannot_be_used() {
     table(folder, "still_y.csv", 100, |_, t, u, _| texts(t, u, 0.1));
     refused(folder, &[&["still_u.csv"], &COLUMNS], 2, &["still_u.csv: the input is 1.5 in all samples"]);
     refused(folder, &[&["still_y.csv"], &COLUMNS], 2, &["still_y.csv: the output is 0.1 in all samples"]);
+    refused(folder, &[&["."], &COLUMNS], 2, &[".: is a folder; give the log or table in it"]);
+    good(folder);
+    let twice: [&str; 6] = ["--input", "y", "--output", "y", "--time", "t"];
+    refused(folder, &[&["good.csv"], &twice], 2, &["--input y and --output y have the same values in all rows"]);
+    let repeats: [&str; 2] = ["--repeats", "0.5s"];
+    let says = "% of the input's power changes from one such period to the next, and it repeats no better";
+    refused(folder, &[&["good.csv"], &COLUMNS, &repeats], 3, &["good.csv: --repeats 0.5s: ", says]);
     table(folder, "short.csv", 8, |_, t, u, y| texts(t, u, y));
     let fifteen: [&str; 4] = ["--order", "15", "--nk", "1"];
     refused(

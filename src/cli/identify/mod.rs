@@ -80,6 +80,7 @@ fn failure(data: &Data, error: IdentifyError) -> Failure {
     let exit = match error {
         IdentifyError::Nothing { .. } | IdentifyError::Still { .. } => return Failure::usage(error),
         IdentifyError::NotPeriodic { .. } => return Failure::usage(error),
+        IdentifyError::NotRepeated { .. } => return Failure::new(Exit::Unusable, error),
         IdentifyError::TooShort { .. } | IdentifyError::TooShortToJudge { .. } => Exit::Usage,
         IdentifyError::Dependent { .. }
         | IdentifyError::Unstable { .. }

@@ -180,6 +180,20 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     };
     warn_of_stairs(&name, "input", &drive, SLOW_INPUT);
     warn_of_stairs(&name, "output", &output, SLOW_OUTPUT);
+    if drive == output {
+        let (input, output) = (args.input.as_deref().unwrap_or_default(), args.output.as_deref().unwrap_or_default());
+        return Err(Failure::usage(format!(
+            "{name}: --input {input} and --output {output} have the same values in all rows: give two columns"
+        )));
+    }
+    if let Some((count, first)) = repeated_rows(&output) {
+        tracing::warn!(
+            "{name}: {count} outputs are the one before to the last digit, the first in row {}, more than rounding \
+             explains: were rows written twice? Each shifts what comes after by a row; give --time COLUMN, or leave \
+             these rows out",
+            first + 1
+        );
+    }
     let missed = output.iter().filter(|y| y.is_none()).count();
     let series = Series { name: name.clone(), time_s, drive, output, ..Series::default() };
     let (record, grid, bridged) = on_grid(args, &series)?;
@@ -211,6 +225,22 @@ fn warn_of_another_time(file: &Path, period_s: f64) {
         );
         return;
     }
+}
+
+/// Fewest values that are the one before, and their part, that are told.
+const REPEATED: (usize, f64) = (5, 2e-3);
+
+/// How many values are the one before, and the place of the first, if that is more than rounding explains: then values
+/// two rows apart would be the same about as often.
+fn repeated_rows(values: &[Option<f64>]) -> Option<(usize, usize)> {
+    let same = |lag: usize| {
+        let pairs = values.iter().zip(values.iter().skip(lag)).enumerate();
+        pairs.filter(|(_, (one, other))| one.is_some() && one == other).map(move |(k, _)| k + lag)
+    };
+    let (count, next) = (same(1).count(), same(2).count());
+    let told = count >= REPEATED.0 && count as f64 > REPEATED.1 * values.len() as f64 && 5 * next < count;
+    // Half of the rows are a log that is slower than the table, of which there is another warning.
+    (told && 4 * count < values.len()).then(|| same(1).next()).flatten().map(|first| (count, first))
 }
 
 /// Warns if a signal looks like a log that is slower than the table. `what`: its name; `otherwise`: what follows.
@@ -486,4 +516,28 @@ fn provenance(args: &Args, records: Vec<RecordSummary>) -> Provenance {
     );
     settings.extend(provenance::of_this_run());
     Provenance { title, input, input_unit, output, output_unit, initial_state: args.initial_state(), records, settings }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::random::Random;
+
+    #[test]
+    fn rows_that_were_written_twice_are_told_and_rounded_ones_are_not() {
+        let noisy = Random::new(1).normals(1000);
+        let twice = |rows: &[f64]| -> Vec<Option<f64>> {
+            let again = |(k, v): (usize, &f64)| vec![Some(*v); if k % 50 == 10 { 2 } else { 1 }];
+            rows.iter().enumerate().flat_map(again).collect()
+        };
+        let once = |rows: &[f64]| rows.iter().copied().map(Some).collect::<Vec<_>>();
+        assert_eq!(repeated_rows(&twice(&noisy)), Some((20, 11)));
+        assert_eq!(repeated_rows(&once(&noisy)), None);
+        // A slow signal in whole steps, and one that rests.
+        let slow: Vec<f64> =
+            noisy.iter().enumerate().map(|(k, e)| ((k as f64 * 0.1).sin() * 5.0 + e).round()).collect();
+        assert_eq!(repeated_rows(&once(&slow)), None);
+        let rests: Vec<f64> = noisy.iter().enumerate().map(|(k, e)| if k < 100 { 0.0 } else { *e }).collect();
+        assert_eq!(repeated_rows(&once(&rests)), None);
+    }
 }

@@ -13,6 +13,9 @@ const SAME_PERIOD: f64 = 0.01;
 /// All records, those to judge by last, each with its table of currents if there are tables.
 pub(super) fn files(args: &Args) -> Result<Vec<(&Path, Option<&Path>)>, Failure> {
     let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
+    if let Some(folder) = files.iter().find(|file| file.is_dir()) {
+        return Err(Failure::usage(format!("{}: is a folder; give the log or table in it", folder.display())));
+    }
     if !args.currents.is_empty() && args.currents.len() != files.len() {
         let (tables, records) = (plural(args.currents.len(), "table"), plural(files.len(), "record"));
         return Err(Failure::usage(format!("--currents: {tables} for {records}; give one for each, in their order")));

@@ -4,8 +4,8 @@ use crate::digits::{fixed, scientific};
 use crate::identify::continuous::{Continuous, Conversion};
 use crate::identify::data::Data;
 use crate::identify::fit::{InitialState, Kind};
-use crate::identify::identification::Identification;
-use crate::identify::modelled::{ContinuousEstimate, Modelled};
+use crate::identify::identification::{Differs, Identification};
+use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
 use crate::identify::provenance::Provenance;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -58,13 +58,19 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
         provenance.input, provenance.output, orders.na, orders.nb, orders.nk
     )?;
     if let Some(criterion) = done.criterion {
-        write!(text, ", the best of {} by {}", done.candidates.len(), format!("{criterion:?}").to_lowercase())?;
+        write!(text, ", of {} tried: {}", done.candidates.len(), criterion.rule())?;
     }
     writeln!(text, "; {:.6} s per sample", data.period_s)?;
     table_1(text, done, provenance)?;
     for model in done.models.iter().rev() {
         if let Some(h) = &model.continuous {
             transfer_function(text, model, h)?;
+            if let (Role::Reduced, Some(Differs { sigmas })) = (model.role, done.reduced_differs) {
+                let by = sigmas.map_or("the refined model has none".to_owned(), |sigmas| {
+                    format!("the refined model differs by up to {sigmas:.1} σ")
+                });
+                writeln!(text, "  no σ: {by}")?;
+            }
         }
     }
     writeln!(text, "\n{:<24} bandwidth, Hz (95 % of the bootstrap, where the model is not biased)", "")?;

@@ -14,8 +14,14 @@ use std::f64::consts::TAU;
 pub(crate) const MIN_PERIODS: usize = 4;
 /// Least power of a line, as a fraction of the strongest line's.
 const MIN_POWER: f64 = 1e-4;
-/// Least power of a line, as a multiple of the noise in its mean.
-const MIN_SNR: f64 = 100.0;
+/// Least power of a line, as a multiple of the noise in its mean. Lower ones say next to nothing; a higher limit would
+/// choose lines by their noise, and so bias the model.
+const MIN_SNR: f64 = 4.0;
+/// The same of both signals for a response of the line itself: below, its logarithm is not normal.
+const CLEAR_SNR: f64 = 10.0;
+/// Lines to either side over which noise is averaged for these limits: by its own scatter over few periods, a line
+/// would be chosen for looking better than it is.
+const NEIGHBOURS: usize = 4;
 /// Largest fraction of missing outputs in a period that is used.
 const MAX_MISSING: f64 = 0.1;
 /// Largest deviation of a period from whole samples, in samples.
@@ -38,6 +44,8 @@ pub struct Line {
     pub output_variance: f64,
     /// Covariance of mean output and mean input, E[δY δU*].
     pub covariance: Complex<f64>,
+    /// Whether both stand out of the noise of the lines around it, so that the response has a σ.
+    pub is_clear: bool,
 }
 
 impl Line {
@@ -46,12 +54,12 @@ impl Line {
         self.output / self.input
     }
 
-    /// σ of ln|response|, and of its phase in radians.
-    pub fn relative_sd(&self) -> f64 {
+    /// σ of ln|response|, and of its phase in radians; `None` for a line that is not clear.
+    pub fn relative_sd(&self) -> Option<f64> {
         let both = self.covariance / (self.output * self.input.conj());
         let of = |variance: f64, mean: Complex<f64>| variance / mean.norm_sqr();
         let variance = of(self.output_variance, self.output) + of(self.input_variance, self.input) - 2.0 * both.re;
-        (0.5 * variance.max(0.0)).sqrt()
+        self.is_clear.then(|| (0.5 * variance.max(0.0)).sqrt())
     }
 }
 
@@ -60,6 +68,8 @@ impl Line {
 pub struct Averaged {
     /// Lines that the input excites.
     pub lines: Vec<Line>,
+    /// Lines of the input that do not stand out of its noise, and were left out.
+    pub noisy: usize,
     /// Samples per period.
     pub samples: usize,
     /// Periods left out at the beginning.
@@ -131,16 +141,33 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
     };
     let spectra: Vec<_> = periods.iter().map(|p| (spectrum(&p.input, p.late), spectrum(&p.output, p.late))).collect();
     // 3. means and the scatter about them
-    let all: Vec<Line> =
+    let mut all: Vec<Line> =
         (1..samples.div_ceil(2)).map(|k| line(&spectra, k, repeats_s, samples, 1.0 / (1.0 - missing))).collect();
+    let input_noise = smoothed(&all, |l| l.input_variance);
+    let output_noise = smoothed(&all, |l| l.output_variance);
+    for ((line, input), output) in all.iter_mut().zip(&input_noise).zip(&output_noise) {
+        let clear = |mean: Complex<f64>, noise: f64| mean.norm_sqr() > CLEAR_SNR * noise;
+        line.is_clear = clear(line.input, *input) && clear(line.output, *output);
+    }
     let strongest = all.iter().map(|l| l.input.norm_sqr()).fold(0.0, f64::max);
-    let excited = |l: &Line| {
-        let power = l.input.norm_sqr();
-        power > MIN_POWER * strongest && power > MIN_SNR * l.input_variance
+    let is_strong = |l: &Line| l.input.norm_sqr() > MIN_POWER * strongest;
+    let is_excited = |(l, noise): (&Line, &f64)| is_strong(l) && l.input.norm_sqr() > MIN_SNR * noise;
+    let excited: Vec<bool> = all.iter().zip(&input_noise).map(is_excited).collect();
+    let first_off =
+        first_off(&spectra, |k| k.checked_sub(1).and_then(|k| excited.get(k)).is_some_and(|excited| *excited));
+    let strong = all.iter().filter(|l| is_strong(l)).count();
+    let lines: Vec<Line> = all.iter().zip(&excited).filter(|(_, excited)| **excited).map(|(l, _)| *l).collect();
+    let noisy = strong - lines.len();
+    Ok(Averaged { lines, noisy, samples, skipped: skip, periods: periods.len(), left_out, first_off })
+}
+
+/// A variance of each line, averaged with those around it.
+fn smoothed(lines: &[Line], of: impl Fn(&Line) -> f64) -> Vec<f64> {
+    let around = |k: usize| {
+        let part = || lines.iter().take(k + NEIGHBOURS + 1).skip(k.saturating_sub(NEIGHBOURS));
+        part().map(&of).sum::<f64>() / part().count() as f64
     };
-    let first_off = first_off(&spectra, |k| k.checked_sub(1).and_then(|k| all.get(k)).is_some_and(excited));
-    let lines: Vec<Line> = all.into_iter().filter(excited).collect();
-    Ok(Averaged { lines, samples, skipped: skip, periods: periods.len(), left_out, first_off })
+    (0..lines.len()).map(around).collect()
 }
 
 struct Period {
@@ -182,6 +209,7 @@ fn line(spectra: &[Spectra], k: usize, repeats_s: f64, samples: usize, scale: f6
         input_variance: off().map(|(u, _)| u.norm_sqr()).sum::<f64>() * of_mean,
         output_variance: off().map(|(_, y)| y.norm_sqr()).sum::<f64>() * of_mean,
         covariance: off().map(|(u, y)| y * u.conj()).sum::<Complex<f64>>() * of_mean,
+        is_clear: true,
     }
 }
 

@@ -11,10 +11,12 @@
 
 mod average;
 mod likelihood;
+mod repeating;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use average::{Averaged, Line};
+pub(crate) use repeating::unrepeated;
 
 use super::data::Record;
 use super::estimated::{Estimated, Refined};

@@ -243,10 +243,10 @@ fn dots(done: &Shown<'_>) -> Vec<(f64, f64, f64, f64)> {
     };
     if !done.lines.is_empty() {
         let dot = |line: &SpectralLine| {
-            let (response, sd) = (line.response(), line.relative_sd());
-            (line.frequency_hz, response.norm().ln(), turned(line.frequency_hz, response.arg()), sd)
+            let (response, sd) = (line.response(), line.relative_sd()?);
+            Some((line.frequency_hz, response.norm().ln(), turned(line.frequency_hz, response.arg()), sd))
         };
-        return done.lines.iter().map(dot).collect();
+        return done.lines.iter().filter_map(dot).collect();
     }
     let points = || done.spectrum.iter().flat_map(|s| s.points.iter().enumerate());
     let followed = unwrapped(points().map(|(_, p)| p.response.arg()));

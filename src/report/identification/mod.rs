@@ -80,16 +80,7 @@ fn percent(value: f64) -> Html {
 fn header(done: &Identification, provenance: &Provenance) -> String {
     let orders = done.orders;
     let chosen = match done.criterion {
-        Some(criterion) => format!(
-            "the best of {} models by {}",
-            done.candidates.len(),
-            match criterion {
-                crate::identify::search::Criterion::Aic => "Akaike's criterion",
-                crate::identify::search::Criterion::Mdl => "minimum description length",
-                crate::identify::search::Criterion::Prediction => "prediction of the validation data",
-                crate::identify::search::Criterion::Simulation => "simulation of the validation data",
-            }
-        ),
+        Some(criterion) => format!("of {} models tried: {}", done.candidates.len(), criterion.rule()),
         None => "as asked for".to_owned(),
     };
     let reduced = done.model(Role::Reduced).map_or_else(
@@ -286,7 +277,8 @@ fn time_courses(data: &Data, done: &Shown<'_>, provenance: &Provenance) -> Strin
 fn frequency(data: &Data, done: &Shown<'_>) -> String {
     let mut text = "<h2>Frequency response</h2>\n<p>Lines: the models, with the band of one σ that the coefficients' \
                     errors make. Dots: the data without a model (averaged periods where the input repeats, Welch's \
-                    spectra otherwise). Grey: the band that the input excited; outside of it the models extrapolate. \
+                    spectra otherwise). All are responses of the samples: their phase has half a sample of delay of the \
+                    hold, which H(s) does not. Grey: the band that the input excited; outside of it the models extrapolate. \
                     Dotted: half of the sampling rate.</p>\n"
         .to_owned();
     text += &figure("plot-magnitude", &figures::magnitude(data, done), 360, true);

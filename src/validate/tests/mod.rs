@@ -484,3 +484,25 @@ fn sigma_of_the_response_counts_noise_that_persists() {
         assert!((0.4..1.7).contains(&squares), "{lasting}: {squares}");
     }
 }
+
+/// Every 40th frame is another spot: the fitted circle was eight times too large, with a σ of 0.03 dB.
+#[test]
+fn frames_that_show_something_else_are_told_and_leave_no_sigma() {
+    let evaluate = |recording: &Recording, pause_s: f64| {
+        let observed = [Observed { recording, pause_s, start_ns: Some(START_NS) }];
+        validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0)
+    };
+    for pause_ms in [5.0, 20.0, 100.0] {
+        let spoiled = Spoiled { noise_m: 5e-5, missing: 0.05, seed: 3, run_in: 0 };
+        let mut recording = simulate(circle, pause_ms * 1e-3, CORNER_HZ, spoiled);
+        let good = evaluate(&recording, pause_ms * 1e-3);
+        assert!(good.response_sd.is_some() && !good.notes.iter().any(|note| note.contains("lie alone")));
+        for point in recording.frames.iter_mut().step_by(40).filter_map(|f| f.places[0].point.as_mut()) {
+            point.x += 0.06;
+        }
+        let run = evaluate(&recording, pause_ms * 1e-3);
+        assert!(run.response_sd.is_none(), "{pause_ms}: {:?}", run.response_sd);
+        let note = run.notes.iter().find(|note| note.contains("lie alone")).unwrap();
+        assert!(note.contains("have no σ") && note.contains("mm from both"), "{note}");
+    }
+}
