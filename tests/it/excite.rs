@@ -82,12 +82,12 @@ fn several_coils_have_a_column_each_and_only_a_table_is_replaced() {
     fs::write(folder.path().join("notes.csv"), "Tuesday\n").unwrap();
     let output = excite(folder.path(), &["chirp", "-o", "notes.csv"]);
     assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("notes.csv: exists and is not this very list"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("notes.csv: exists and is not a table of this command"), "{}", stderr(&output));
     let recorded = "t_s,axial_a\r\n0.000000,0.012000\r\n0.016667,0.000000\r\n";
     fs::write(folder.path().join("recorded.csv"), recorded).unwrap();
     let output = excite(folder.path(), &["chirp", "-o", "recorded.csv"]);
     assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("recorded.csv: exists and is not this very list"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("recorded.csv: exists and is not a table of this command"), "{}", stderr(&output));
     assert_eq!(fs::read_to_string(folder.path().join("recorded.csv")).unwrap(), recorded);
     let output = excite(folder.path(), &["chirp", "-o", "none/i.csv"]);
     assert_eq!(output.status.code(), Some(2));

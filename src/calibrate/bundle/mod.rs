@@ -194,9 +194,13 @@ impl Bundle {
             return None;
         }
         let print = Believed::of(found, &at.shape, self.free.len())?;
-        let held = State { held: Some(print.print), ..at.clone() };
+        // Of everything else, the uncertainty where it fits best: what is not believed of the print is no error of the
+        // pictures. A print that was free has made them fit better than they should.
+        let mut held = State { held: Some(at.shape.print()), ..at.clone() };
+        let mut known = self.clustered(&held, sd_px, prior_weight).ok()?;
+        known.covariance *= (found.design_effect / known.design_effect).max(1.0);
+        held.held = Some(print.print);
         let (next, sd_px) = self.searched(sd_px, prior_weight, held).ok()?;
-        let mut known = self.clustered(&next, sd_px, prior_weight).ok()?;
         // The print is none of the noise of single corners.
         known.covariance += &print.covariance;
         known.weighted += &print.covariance;

@@ -128,7 +128,7 @@ export class Plot {
       }
     }
     if (cursor !== null && cursor !== undefined) {
-      context.strokeStyle = css("--ink");
+      context.strokeStyle = css("--accent");
       context.lineWidth = 1.5;
       context.beginPath();
       context.moveTo(px(cursor), TOP);

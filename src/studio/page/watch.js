@@ -181,11 +181,11 @@ export class Watch {
     } catch (error) {
       this.there = false;
       say(`The run is over, or the program is not reached: ${error.message}. The report is in ${this.live.folder}.`);
-      this.big.textContent = "θ – the run is over, or not reached";
+      this.big.textContent = "θ – over, or not reached";
       this.big.classList.add("bad");
       this.said = null;
       this.recordingSaid = null;
-      fill(this.figures, el("p", { class: "quiet" }, "As it was is in the report, not here."));
+      fill(this.figures, el("p", { class: "quiet whole" }, "Counts and latencies of the whole run are in the report."));
       fill(this.alarms, el("p", { class: "bad" }, "Not known: the program does not answer."));
       fill(this.recorded, el("p", { class: "quiet" }, "Not known."));
       this.reachable(false);
@@ -205,7 +205,7 @@ export class Watch {
         this.element.dataset.picture = reply.seq;
       }
     } catch (error) {
-      complain(error);
+      if (this.there) complain(error);
     }
     setTimeout(() => this.pictures(), PICTURE_MS);
   }
