@@ -130,12 +130,12 @@ fn what_contradicts_the_model_is_said_before_the_numbers() {
     let (doubts, first) = (page.find("Do not rely on these numbers yet").unwrap(), page.find("<h2>").unwrap());
     assert!(doubts < first && page[doubts..first].contains("is there water or glass that was not given"));
 
-    // A distance that no tape measure would give: 36 mm more than the pictures say, which brings boards to the glass.
-    let tank = ["--tank", "254x254x267mm", "--glass", "5mm", "--distance", "front_wall=1300mm:2mm"];
+    // A distance that no tape measure would give: 37 mm more than the pictures say, which brings boards to the glass.
+    let tank = ["--tank", "254x254x267mm", "--glass", "5mm", "--distance", "front_wall=1301.5mm:2mm"];
     let (printed, page, _) = calibrated(folder.path(), &tank);
     let doubts: Vec<&str> = printed.lines().filter(|line| line.contains("doubt:")).collect();
     assert!(matches!(doubts[..], [one] if one.contains("the distance of front_wall from the camera")), "{printed}");
-    assert!(page.contains("<td>1300.00 ± 2.00 mm</td>") && count(&page, "<span class=\"miss\">4.") == 1);
+    assert!(page.contains("<td>1301.50 ± 2.00 mm</td>") && count(&page, "<span class=\"miss\">3.") == 1);
 
     // Who only has the rig file learns it too.
     let rig = folder.path().join("my.rig.toml");

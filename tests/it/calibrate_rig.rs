@@ -111,9 +111,9 @@ fn the_sample_rig_is_found_within_its_predicted_deviations() {
     let found = errors(&Draft::load(&folder.path().join("rig.toml")).unwrap());
     hold("boards in the water alone", &found);
     // What a covariance computed for exactly these pictures says, with some room: mirror 0.02 to 0.05° and 2.6 mm,
-    // walls 10 mm, principal point 1.8 px.
+    // walls 10 mm, principal point 1.8 px. The lens's σ also covers a print that is slightly uneven.
     for axis in ["mirror_tilt_0_rad", "mirror_tilt_1_rad"] {
-        assert!((0.015..0.07).contains(&sd(&found, axis).to_degrees()));
+        assert!((0.015..0.08).contains(&sd(&found, axis).to_degrees()));
     }
     assert!((1.5e-3..4.5e-3).contains(&sd(&found, "mirror_offset_m")));
     assert!((5e-3..18e-3).contains(&sd(&found, "front_wall_offset_m")));

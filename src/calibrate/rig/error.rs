@@ -54,7 +54,7 @@ pub enum RigCalibrationError {
     /// Boards beyond the tank.
     #[error(
         "by their size the boards ({board}) reach {what}, and the tank is {tank_mm:.0} mm {side}: is --tank \
-         WIDTHxDEPTHxHEIGHT right, and the size of the squares?"
+         WIDTHxDEPTHxHEIGHT right, and the size of the squares? Were pictures flipped or turned?"
     )]
     BeyondTank {
         /// As given.

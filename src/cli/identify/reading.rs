@@ -180,7 +180,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     };
     warn_of_stairs(&name, "input", &drive, SLOW_INPUT);
     warn_of_stairs(&name, "output", &output, SLOW_OUTPUT);
-    if drive == output {
+    if drive == output && !drive.is_empty() {
         let (input, output) = (args.input.as_deref().unwrap_or_default(), args.output.as_deref().unwrap_or_default());
         return Err(Failure::usage(format!(
             "{name}: --input {input} and --output {output} have the same values in all rows: give two columns"
