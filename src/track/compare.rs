@@ -84,7 +84,7 @@ struct Memory {
     channels: Vec<Compared>,
     sums: Sums,
     scores: Scores,
-    rows: Box<Rows>,
+    rows: Option<Box<Rows>>,
 }
 
 /// Memories in no use; more than these are dropped.
@@ -248,6 +248,7 @@ impl Comparison {
         let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
         let mut channels = &channels[..];
+        let rows = rows.get_or_insert_default();
         for (layer, bunches) in patch.layers().zip(bunches) {
             let (own, others) = channels.split_at(layer.channels.len());
             channels = others;

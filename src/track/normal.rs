@@ -142,12 +142,8 @@ pub(crate) fn influence(
     of_shape: &SMatrix<f64, SHAPE, SHAPE>,
     of_colours: &ShapeBy,
 ) -> [Padded; ROW] {
-    let mut influence = [[0.0; PADDED]; ROW];
-    for (i, column) in influence.iter_mut().enumerate() {
-        if let Some(at) = colour(i, span.ring, layout) {
-            *column = padded(of_colours.column(at).as_slice());
-        }
-    }
+    let of_colour = |i| colour(i, span.ring, layout).map(|at| padded(of_colours.column(at).as_slice()));
+    let mut influence = std::array::from_fn(|i| of_colour(i).unwrap_or([0.0; PADDED]));
     for (at, moves) in MOVES.into_iter().zip(moved(image, span.knot)) {
         influence[at] = padded((of_shape * moves).as_slice());
     }
