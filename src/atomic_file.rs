@@ -3,10 +3,6 @@
 use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
-
-/// How many new files this process has begun: two threads may write the same one.
-static BEGUN: AtomicU64 = AtomicU64::new(0);
 
 /// Writes a file in one step, replacing any that exists.
 ///
@@ -47,7 +43,7 @@ impl NewFile {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "is a device, a pipe or a folder, not a file"));
         }
         let mut beside = place.as_os_str().to_owned();
-        beside.push(format!(".{}.{}.new", std::process::id(), BEGUN.fetch_add(1, Ordering::Relaxed)));
+        beside.push(format!(".{}.new", std::process::id()));
         let new = Self { beside: beside.into(), place: place.to_path_buf() };
         let file = File::create(&new.beside)?;
         if let Ok(old) = fs::metadata(place) {
