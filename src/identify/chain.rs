@@ -96,9 +96,10 @@ pub(crate) fn identify_with_progress(
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
     }
     // 4. the same order fitted to the data itself
-    let other_delays = found.as_ref().map_or_else(|_| Vec::new(), |found| found.others.clone());
-    let earlier_delay = found.as_ref().ok().and_then(|found| found.earlier).filter(|_| !of_output);
-    let refined = found.map(|found| found.refined);
+    let (refined, other_delays, earlier_delay) = match found {
+        Ok(found) => (Ok(found.refined), found.others, found.earlier.filter(|_| !of_output)),
+        Err(why) => (Err(why), Vec::new(), None),
+    };
     let mut model_error = None;
     let mut left = None;
     let mut higher_order = None;

@@ -11,6 +11,7 @@ use super::colour::Colour;
 use super::data::Segment;
 use super::model::{Polynomials, all_pole};
 use super::output_error::{Derivatives, derivatives_and_residual, linearised};
+use super::prepare::Line;
 use super::whitened::Whitened;
 use nalgebra::DMatrix;
 
@@ -121,14 +122,9 @@ fn residuals(segments: &[Segment], model: &Polynomials) -> Option<Vec<Vec<f64>>>
 
 /// A residual without its mean and trend, which would be taken for noise that lasts.
 fn without_line(residual: &[f64]) -> Vec<f64> {
-    let mean = |of: &dyn Fn(f64, f64) -> f64| {
-        let seen = residual.iter().enumerate().filter(|(_, e)| !e.is_nan());
-        let (sum, count) = seen.fold((0.0, 0), |(sum, n), (t, e)| (sum + of(t as f64, *e), n + 1));
-        sum / f64::from(count.max(1))
-    };
-    let (middle, level) = (mean(&|t, _| t), mean(&|_, e| e));
-    let slope = mean(&|t, e| (t - middle) * (e - level)) / mean(&|t, _| (t - middle).powi(2)).max(f64::MIN_POSITIVE);
-    residual.iter().enumerate().map(|(t, e)| e - level - slope * (t as f64 - middle)).collect()
+    let timed = || residual.iter().enumerate().map(|(t, e)| (t as f64, *e));
+    let line = Line::through(timed().filter(|(_, e)| !e.is_nan()), true);
+    timed().map(|(t, e)| e - line.at(t)).collect()
 }
 
 #[cfg(test)]

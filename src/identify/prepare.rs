@@ -36,7 +36,18 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    fn at(&self, t: f64) -> f64 {
+    /// Nearest to points (seconds, value); without `slope` their mean.
+    pub(super) fn through(points: impl Iterator<Item = (f64, f64)> + Clone, slope: bool) -> Self {
+        let n = points.clone().count().max(1) as f64;
+        let about_s = points.clone().map(|(t, _)| t).sum::<f64>() / n;
+        let offset = points.clone().map(|(_, v)| v).sum::<f64>() / n;
+        let spread = points.clone().map(|(t, _)| (t - about_s).powi(2)).sum::<f64>();
+        let slope =
+            if slope && spread > 0.0 { points.map(|(t, v)| (t - about_s) * v).sum::<f64>() / spread } else { 0.0 };
+        Self { offset, slope, about_s }
+    }
+
+    pub(super) fn at(&self, t: f64) -> f64 {
         self.offset + self.slope * (t - self.about_s)
     }
 }
@@ -54,22 +65,11 @@ impl Trend {
     /// The trend of one record's segments, or of several records' without `slope`.
     pub(crate) fn of(segments: &[Segment], period_s: f64, slope: bool) -> Self {
         let line = |signal: fn(&Segment) -> &[f64]| {
-            let points = || {
-                segments.iter().flat_map(move |s| {
-                    let timed = signal(s).iter().enumerate().map(move |(k, v)| (s.start_s + k as f64 * period_s, *v));
-                    timed.filter(|(_, v)| !v.is_nan())
-                })
-            };
-            let n = points().count().max(1) as f64;
-            let about_s = points().map(|(t, _)| t).sum::<f64>() / n;
-            let offset = points().map(|(_, v)| v).sum::<f64>() / n;
-            let spread = points().map(|(t, _)| (t - about_s).powi(2)).sum::<f64>();
-            let slope = if slope && spread > 0.0 {
-                points().map(|(t, v)| (t - about_s) * v).sum::<f64>() / spread
-            } else {
-                0.0
-            };
-            Line { offset, slope, about_s }
+            let points = segments.iter().flat_map(move |s| {
+                let timed = signal(s).iter().enumerate().map(move |(k, v)| (s.start_s + k as f64 * period_s, *v));
+                timed.filter(|(_, v)| !v.is_nan())
+            });
+            Line::through(points, slope)
         };
         Self { input: line(|s| &s.input), output: line(|s| &s.output) }
     }

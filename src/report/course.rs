@@ -25,7 +25,7 @@ pub(super) struct Course {
     pub path: Path,
 }
 
-/// Positions of the markers in some evenly spaced frames: mm, `None` where a marker is missing; all of them `None` where
+/// Positions of the markers in some evenly spaced frames: mm, `None` where a marker is missing; all of them are where
 /// frames were lost between.
 #[derive(Default)]
 pub(super) struct Path {

@@ -12,8 +12,8 @@
 //! six terms of an uneven print have one τ: were each judged by itself, six chances to be uneven would widen σ of an
 //! even one.
 //!
-//! Of d values with everything else free the pictures say the mean m and the covariance V, which are those of the
-//! posterior's part of width τ: precision P = V⁻¹ + 1/τ² − 1/widest², mean P⁻¹V⁻¹m, weight ∝ w τ^−d |P|^−½
+//! Where pictures and the judgement of the others say of d values the mean m with the covariance V, the posterior's
+//! part of width τ has the precision P = V⁻¹ + 1/τ², the mean P⁻¹V⁻¹m and the weight ∝ w τ^−d |P|^−½
 //! exp(mᵀV⁻¹P⁻¹V⁻¹m / 2). The covariance of the whole includes the distances of the parts, and is largest where
 //! pictures are in two minds. Everything else follows linearly: x = x(m) + K (s − m), K its regression, and its
 //! covariance is that with s held, and K cov(s) Kᵀ.

@@ -125,7 +125,7 @@ fn describe(board: &Board, searched: &[SearchedPicture], done: &CameraCalibratio
     let places = board.centred_points();
     let (sag_mm, sd) = (done.shape.sag_m(&places) * 1e3, done.stretch_sd());
     let evenness = match done.shape.is_even() {
-        true => "is even as far as these pictures tell".to_owned(),
+        true => "is taken to be even".to_owned(),
         false => format!("has corners up to {:.3} mm from even rows", done.shape.unevenness_m(&places) * 1e3),
     };
     let _ = writeln!(

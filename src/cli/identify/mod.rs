@@ -2,6 +2,7 @@
 
 mod apply;
 mod args;
+mod columns_in_doubt;
 mod currents;
 mod planes;
 mod reading;

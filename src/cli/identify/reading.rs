@@ -2,36 +2,27 @@
 
 use super::super::{copies, provenance};
 use super::args::{Args, DelayArg, Range};
-use super::currents;
 use super::records::{self, Driven};
+use super::{columns_in_doubt, currents};
 use crate::cli::Failure;
 use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay, Drift, Timing};
 use crate::identify::fit::InitialState;
 use crate::identify::grid::{Grid, GridError, Series, coarser, cut, resample};
-use crate::identify::hold::{Held, stairs};
+use crate::identify::hold::Held;
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
 use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::recorded::Observed;
 use crate::identify::zero::Zero;
-use crate::median::median;
 use crate::series::columns;
 use std::path::Path;
 
 /// Fewest samples after decimation.
 const DECIMATION_NEEDS: usize = 11;
-/// Usual names of a column of times.
-const TIMES: [&str; 4] = ["t_s", "time_s", "t", "time"];
 /// Angle below which all of a record is hardly a deflection in degrees.
 const LEAST_DEGREES: f64 = 1.0;
-/// What follows from an input, and from an output, that changes less often than the rows.
-const SLOW_INPUT: &str = "if it really changes so, all is well; if it was logged more slowly than it changed, what \
-                          happened in between is not known, and H(s) is wrong";
-const SLOW_OUTPUT: &str = "it seems to be measured more slowly than the table has rows, and half the time that a value \
-                           is kept would count as a delay of the system. Leave the cells empty where nothing was \
-                           measured";
 /// The input of a log without Eq. 6.
 const CURRENT: &str = "current";
 
@@ -171,29 +162,21 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
             .map(|(row, t)| t.ok_or_else(|| Failure::usage(format!("{name}: the time of row {} is missing", row + 1))))
             .collect::<Result<Vec<_>, _>>()?,
         (None, Some(period)) => {
-            warn_of_another_time(file, period);
+            columns_in_doubt::warn_of_another_time(file, period);
             (0..drive.len()).map(|k| k as f64 * period).collect()
         }
         (None, None) => {
             return Err(Failure::usage("the time from row to row is not known: give --period S, or --time COLUMN"));
         }
     };
-    warn_of_stairs(&name, "input", &drive, SLOW_INPUT);
-    warn_of_stairs(&name, "output", &output, SLOW_OUTPUT);
+    columns_in_doubt::warn_of_stairs(&name, &drive, &output);
     if drive == output && !drive.is_empty() {
         let (input, output) = (args.input.as_deref().unwrap_or_default(), args.output.as_deref().unwrap_or_default());
         return Err(Failure::usage(format!(
             "{name}: --input {input} and --output {output} have the same values in all rows: give two columns"
         )));
     }
-    if let Some((count, first)) = repeated_rows(&output) {
-        tracing::warn!(
-            "{name}: {count} outputs are the one before to the last digit, the first in row {}, more than rounding \
-             explains: were rows written twice? Each shifts what comes after by a row; give --time COLUMN, or leave \
-             these rows out",
-            first + 1
-        );
-    }
+    columns_in_doubt::warn_of_repeated_rows(&name, &output);
     let missed = output.iter().filter(|y| y.is_none()).count();
     let series = Series { name: name.clone(), time_s, drive, output, ..Series::default() };
     let (record, grid, bridged) = on_grid(args, &series)?;
@@ -209,50 +192,6 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
         ..RecordSummary::default()
     };
     Ok(Read { record, summary })
-}
-
-/// Warns if a table that is read with a given period has a column of times with another.
-fn warn_of_another_time(file: &Path, period_s: f64) {
-    for name in TIMES {
-        let Ok(read) = columns(file, &[name]) else { continue };
-        let times: Vec<f64> = read.into_iter().flatten().flatten().collect();
-        let steps = times.iter().zip(times.iter().skip(1)).map(|(before, after)| after - before);
-        let Some(step) = median(steps).filter(|step| !records::is_one_period(*step, period_s)) else { return };
-        tracing::warn!(
-            "{}: --period says {period_s} s from row to row, its column {name} {step:.6}: if that is in seconds, give \
-             --time {name} instead",
-            file.display()
-        );
-        return;
-    }
-}
-
-/// Fewest values that are the one before, and their part, that are told.
-const REPEATED: (usize, f64) = (5, 2e-3);
-
-/// How many values are the one before, and the place of the first, if that is more than rounding explains: then values
-/// two rows apart would be the same about as often.
-fn repeated_rows(values: &[Option<f64>]) -> Option<(usize, usize)> {
-    let same = |lag: usize| {
-        let pairs = values.iter().zip(values.iter().skip(lag)).enumerate();
-        pairs.filter(|(_, (one, other))| one.is_some() && one == other).map(move |(k, _)| k + lag)
-    };
-    let (count, next) = (same(1).count(), same(2).count());
-    let told = count >= REPEATED.0 && count as f64 > REPEATED.1 * values.len() as f64 && 5 * next < count;
-    // Half of the rows are a log that is slower than the table, of which there is another warning.
-    (told && 4 * count < values.len()).then(|| same(1).next()).flatten().map(|first| (count, first))
-}
-
-/// Warns if a signal looks like a log that is slower than the table. `what`: its name; `otherwise`: what follows.
-fn warn_of_stairs(name: &str, what: &str, signal: &[Option<f64>], otherwise: &str) {
-    let values: Vec<f64> = signal.iter().flatten().copied().collect();
-    let slopes: Vec<f64> = values.iter().zip(values.iter().skip(1)).map(|(before, after)| after - before).collect();
-    let (rows, does) = match (stairs(&values), stairs(&slopes)) {
-        (Some(rows), _) => (rows, "keeps each value"),
-        (None, Some(rows)) => (rows, "is a straight line"),
-        (None, None) => return,
-    };
-    tracing::warn!("{name}: the {what} {does} for {rows} rows, again and again: {otherwise}");
 }
 
 fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failure> {
@@ -516,28 +455,4 @@ fn provenance(args: &Args, records: Vec<RecordSummary>) -> Provenance {
     );
     settings.extend(provenance::of_this_run());
     Provenance { title, input, input_unit, output, output_unit, initial_state: args.initial_state(), records, settings }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::testing::random::Random;
-
-    #[test]
-    fn rows_that_were_written_twice_are_told_and_rounded_ones_are_not() {
-        let noisy = Random::new(1).normals(1000);
-        let twice = |rows: &[f64]| -> Vec<Option<f64>> {
-            let again = |(k, v): (usize, &f64)| vec![Some(*v); if k % 50 == 10 { 2 } else { 1 }];
-            rows.iter().enumerate().flat_map(again).collect()
-        };
-        let once = |rows: &[f64]| rows.iter().copied().map(Some).collect::<Vec<_>>();
-        assert_eq!(repeated_rows(&twice(&noisy)), Some((20, 11)));
-        assert_eq!(repeated_rows(&once(&noisy)), None);
-        // A slow signal in whole steps, and one that rests.
-        let slow: Vec<f64> =
-            noisy.iter().enumerate().map(|(k, e)| ((k as f64 * 0.1).sin() * 5.0 + e).round()).collect();
-        assert_eq!(repeated_rows(&once(&slow)), None);
-        let rests: Vec<f64> = noisy.iter().enumerate().map(|(k, e)| if k < 100 { 0.0 } else { *e }).collect();
-        assert_eq!(repeated_rows(&once(&rests)), None);
-    }
 }

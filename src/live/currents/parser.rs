@@ -78,7 +78,8 @@ pub(super) struct Parser {
     /// Lines of whole numbers between commas, before the first with a decimal point.
     whole_numbers: u64,
     decimal_points: bool,
-    /// Who has sent datagrams, and how many; who sent the last; whether several computers send, or programs that alternate.
+    /// Who has sent datagrams, and how many; who sent the last; whether several computers send, or programs that
+    /// alternate.
     senders: BTreeMap<SocketAddr, u64>,
     last_sender: Option<SocketAddr>,
     in_turn: bool,

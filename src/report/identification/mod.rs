@@ -277,9 +277,9 @@ fn time_courses(data: &Data, done: &Shown<'_>, provenance: &Provenance) -> Strin
 fn frequency(data: &Data, done: &Shown<'_>) -> String {
     let mut text = "<h2>Frequency response</h2>\n<p>Lines: the models, with the band of one σ that the coefficients' \
                     errors make. Dots: the data without a model (averaged periods where the input repeats, Welch's \
-                    spectra otherwise). All are responses of the samples: their phase has half a sample of delay of the \
-                    hold, which H(s) does not. Grey: the band that the input excited; outside of it the models extrapolate. \
-                    Dotted: half of the sampling rate.</p>\n"
+                    spectra otherwise). All are responses of the samples: their phase has half a sample of delay of \
+                    the hold, which H(s) does not. Grey: the band that the input excited; outside of it the models \
+                    extrapolate. Dotted: half of the sampling rate.</p>\n"
         .to_owned();
     text += &figure("plot-magnitude", &figures::magnitude(data, done), 360, true);
     text += &figure("plot-phase", &figures::phase(data, done), 300, true);
