@@ -102,7 +102,7 @@ pub enum Diagnostic {
         /// Where, and how long.
         frozen: Frozen,
     },
-    /// A system that is not linear.
+    /// A system that is not linear: the refined model has no σ.
     Nonlinear {
         /// The record.
         record: String,
@@ -419,7 +419,9 @@ impl fmt::Display for Diagnostic {
             ),
             Self::Jumps { record, jump } => write!(f, "{record}: {jump}"),
             Self::Frozen { record, frozen } => write!(f, "{record}: {frozen}"),
-            Self::Nonlinear { record, found } => write!(f, "{record}: {found}"),
+            Self::Nonlinear { record, found } => {
+                write!(f, "{record}: {found} (the refined model has no σ: its errors are not those of noise)")
+            }
             Self::AtLimit { record, count, value } => write!(
                 f,
                 "{record}: {count} outputs are exactly {value:.6}, and none is beyond: where a scale ends the model \

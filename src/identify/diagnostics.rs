@@ -9,7 +9,6 @@ use super::identification::{Differs, Fit, Identification};
 use super::jump::jump;
 use super::model::{Orders, angle};
 use super::modelled::{ContinuousEstimate, Role};
-use super::nonlinear::nonlinear;
 use super::outliers;
 use super::residuals::{Residuals, too_many};
 use super::spectrum::Spectrum;
@@ -272,8 +271,8 @@ fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
         Some(Diagnostic::Frozen { record: record.name.clone(), frozen })
     };
     let not_linear = |record: &Record| {
-        let found = nonlinear(&model?.model, record)?;
-        Some(Diagnostic::Nonlinear { record: record.name.clone(), found })
+        let (_, found) = done.not_linear.iter().find(|(name, _)| *name == record.name)?;
+        Some(Diagnostic::Nonlinear { record: record.name.clone(), found: *found })
     };
     // An input that was not recorded looks like anything.
     let of_input = |record: &Record| frozen(record).or_else(|| not_linear(record));

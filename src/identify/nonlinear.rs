@@ -1,10 +1,12 @@
 //! Whether a record says that the system is not linear: an amplifier that saturates, a dead zone, backlash, friction.
 //!
 //! A long ARX model, with a constant, has room for any linear response and colour of the noise: what is left is white.
-//! It is tested for four signals that no linear model makes from the input (a score test, Ljung, System Identification,
+//! It is tested for five signals that no linear model makes from the input (a score test, Ljung, System Identification,
 //! 2nd ed., section 16.4; static elements before and after a linear system: Hammerstein and Wiener models): the part
-//! of the input beyond half of its largest value, the direction in which it last changed, and both of the simulated
-//! output. If the system is linear each has a coefficient of zero, and its ratio to σ is normal.
+//! of the input beyond half of its largest value, the direction in which it last changed, both of the simulated
+//! output, and the part of the observed output beyond half of its largest value, taken off the input: a spring that
+//! hardens or softens (Duffing's), whose resonance depends on the amplitude. If the system is linear each has a
+//! coefficient of zero, and its ratio to σ is normal.
 //!
 //! Coulomb friction is a part of the input that always has the sign of the output's velocity, through the system. It
 //! is small from sample to sample, in the ARX model's noise: it is tested for in what the model's simulation leaves,
@@ -46,6 +48,8 @@ pub enum Element {
     Gain(f64),
     /// The difference between rising and falling, as a part of the signal's range.
     Width(f64),
+    /// The stiffness beyond half of the output's largest amplitude, less that below it, over the static stiffness.
+    Stiffness(f64),
     /// The part of the input that is always against the motion, over the input's range.
     Friction(f64),
 }
@@ -54,7 +58,7 @@ impl Element {
     /// Whether it is large enough to be told.
     fn is_large(&self) -> bool {
         match self {
-            Self::Gain(change) => change.abs() > LEAST_CHANGE,
+            Self::Gain(change) | Self::Stiffness(change) => change.abs() > LEAST_CHANGE,
             Self::Width(width) => *width > LEAST_WIDTH,
             Self::Friction(part) => *part > LEAST_FRICTION,
         }
@@ -104,6 +108,13 @@ impl fmt::Display for Nonlinear {
                  ({sigmas:.0} σ): is there backlash, friction or hysteresis, or a delay beyond --nk?",
                 100.0 * width
             ),
+            Element::Stiffness(change) => write!(
+                f,
+                "beyond half of the largest {of} its stiffness is {:.0} % {} than below it ({sigmas:.0} σ): the \
+                 resonance depends on the amplitude, and a linear model holds for one",
+                100.0 * change.abs(),
+                if *change < 0.0 { "smaller" } else { "larger" }
+            ),
             Element::Friction(part) => write!(
                 f,
                 "{:.2} % of the {of}'s range is always lost against the motion ({sigmas:.0} σ), as by friction: the \
@@ -138,23 +149,34 @@ fn of_static_elements(model: &Polynomials, record: &Record) -> Option<Vec<Nonlin
     // An element before the system acts through B, one behind it through A.
     let before = Polynomials { a: vec![1.0], b, nk };
     let behind = Polynomials { a: vec![1.0], b: a, nk: 0 };
-    let both = [("input", &input, before), ("output", &output, behind)];
+    let both = [("input", &input, &before), ("output", &output, &behind)];
+    let acting = |signal: &[Vec<f64>], through: &Polynomials| -> Vec<Vec<f64>> {
+        signal.iter().map(|s| through.simulate(s)).collect()
+    };
     let tests = both.iter().flat_map(|(of, signal, through)| {
         let range = Range::of(signal);
-        let beyond = |v: &f64| {
-            let from_middle = v - range.middle;
-            (from_middle.abs() - LARGE * range.largest).max(0.0).copysign(from_middle)
-        };
-        let amplitude: Vec<Vec<f64>> = signal.iter().map(|s| s.iter().map(beyond).collect()).collect();
+        let amplitude = range.beyond(signal);
         let direction: Vec<Vec<f64>> = signal.iter().map(|s| directions(s)).collect();
-        let acting = |signal: Vec<Vec<f64>>| signal.iter().map(|s| through.simulate(s)).collect::<Vec<_>>();
-        let gain = long.coefficient(&acting(amplitude)).map(|(g, sigmas)| (Element::Gain(g), sigmas));
+        let gain = long.coefficient(&acting(&amplitude, through)).map(|(g, sigmas)| (Element::Gain(g), sigmas));
         let width = |g: f64| Element::Width(2.0 * g.abs() / range.width);
-        let width = long.coefficient(&acting(direction)).map(|(g, sigmas)| (width(g), sigmas));
+        let width = long.coefficient(&acting(&direction, through)).map(|(g, sigmas)| (width(g), sigmas));
         let found = [gain, width].into_iter().flatten().filter(|(element, _)| element.is_large());
         found.map(|(element, sigmas)| Nonlinear { of, element, sigmas })
     });
-    Some(tests.collect())
+    // What was observed before a sample says nothing of its noise, and of the state more than a simulation. A spring
+    // has no part in a delay of the input.
+    let observed: Vec<Vec<f64>> = long.target.iter().zip(&output).map(|(y, simulated)| filled(y, simulated)).collect();
+    let undelayed = Polynomials { nk: 1, ..before.clone() };
+    let spring = long.coefficient(&acting(&Range::of(&observed).beyond(&observed), &undelayed));
+    let spring = spring.map(|(c, sigmas)| (Element::Stiffness(-c * before.gain() / behind.gain()), sigmas));
+    let spring = spring.filter(|(element, _)| element.is_large());
+    let spring = spring.map(|(element, sigmas)| Nonlinear { of: "output", element, sigmas });
+    Some(tests.chain(spring).collect())
+}
+
+/// What was observed, with what is simulated where nothing was.
+fn filled(observed: &[f64], simulated: &[f64]) -> Vec<f64> {
+    observed.iter().zip(simulated).map(|(y, m)| if y.is_nan() { *m } else { *y }).collect()
 }
 
 /// Coulomb friction that is large enough.
@@ -200,6 +222,15 @@ impl Range {
         let middle = values().sum::<f64>() / values().count().max(1) as f64;
         let (low, high) = values().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
         Self { middle, largest: (high - middle).max(middle - low), width: high - low }
+    }
+
+    /// The part of a signal beyond the amplitudes that are small.
+    fn beyond(&self, signal: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let beyond = |v: &f64| {
+            let from_middle = v - self.middle;
+            (from_middle.abs() - LARGE * self.largest).max(0.0).copysign(from_middle)
+        };
+        signal.iter().map(|s| s.iter().map(beyond).collect()).collect()
     }
 }
 
@@ -369,6 +400,42 @@ mod tests {
                 assert!(matches!(clipped.element, Element::Gain(change) if change < -0.1), "{clipped:?}");
                 let dead = found(input.clone(), each(|u| u - u.clamp(-0.2, 0.2)), 0.02, seed).unwrap();
                 assert!(matches!(dead.element, Element::Gain(change) if change > 0.1), "{dead:?}");
+            }
+        }
+    }
+
+    /// Steps of an oscillator of 1 Hz with a damping of 0.1, `spring` of its stiffness more at a deflection of 1.
+    #[test]
+    fn a_spring_that_hardens_or_softens_is_told() {
+        let oscillator = |input: &[f64], spring: f64| {
+            const STEPS: usize = 20;
+            let (step_s, square) = (1.0 / (60.0 * STEPS as f64), TAU * TAU);
+            let (mut x, mut speed) = (0.0_f64, 0.0_f64);
+            let moved = input.iter().map(|u| {
+                let now = x;
+                for _ in 0..STEPS {
+                    speed += step_s * (square * (u - x - spring * x.powi(3)) - 0.2 * TAU * speed);
+                    x += step_s * speed;
+                }
+                now
+            });
+            moved.collect::<Vec<f64>>()
+        };
+        let told = |spring: f64, noise: f64, seed: u64| {
+            let input = levels(7, seed, |u| u);
+            let mut random = Random::new(seed + 50);
+            let output = oscillator(&input, spring).iter().map(|x| x + noise * random.normal()).collect();
+            let segment = Segment { output, input, from_rest: true, ..Segment::default() };
+            nonlinear(&model(), &Record { name: "r".to_owned(), segments: vec![segment] })
+        };
+        for seed in 1..=6 {
+            for noise in [0.01, 0.1] {
+                let stiffness = |spring| match told(spring, noise, seed).map(|found| found.element) {
+                    Some(Element::Stiffness(change)) => change,
+                    other => panic!("{spring} {noise} {seed}: {other:?}"),
+                };
+                assert!(stiffness(0.3) > 0.1 && stiffness(-0.05) < -0.02, "{seed}");
+                assert_eq!(told(0.0, noise, seed), None, "{noise} {seed}");
             }
         }
     }
