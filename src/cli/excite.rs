@@ -19,6 +19,8 @@ use std::path::{Path, PathBuf};
 
 /// More rows per second than this have delays of 1 ms or less.
 const MAX_PLAYED_HZ: f64 = 500.0;
+/// Part of the energy in the band asked for, below which a signal that was cut off is warned of.
+const LEAST_IN_BAND: f64 = 0.9;
 
 /// Arguments of `catoptra excite`.
 #[derive(Debug, clap::Args)]
@@ -215,6 +217,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         is_free_for_page(page)?;
     }
     let spectrum = Spectrum::of(&made.signal);
+    warn_of_little_in_band(&made, &spectrum);
     save(&common.out, &text)?;
     if let Some(page) = &page {
         let settings = [made.info.settings.as_slice(), &provenance::of_this_run()].concat();
@@ -223,6 +226,20 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         save(page, &text)?;
     }
     if quiet { Ok(()) } else { output::print(&summary(&made, &spectrum, &common.out, page.as_deref())) }
+}
+
+/// Cutting a signal off moves energy to other frequencies, where no plant is asked for it.
+fn warn_of_little_in_band(made: &DescribedSignal, spectrum: &Spectrum) {
+    let Some((a, b)) = made.info.band_hz.filter(|_| !made.clipped.is_empty()) else { return };
+    let (from_hz, to_hz) = (a.min(b), a.max(b));
+    let share = spectrum.share(from_hz, to_hz);
+    if share < LEAST_IN_BAND {
+        tracing::warn!(
+            "cut off at the limits, {:.0} % of the signal's energy is between {from_hz} Hz and {to_hz} Hz: a smaller \
+             --amplitude, or a lower highest frequency, keeps it there",
+            share * 100.0
+        );
+    }
 }
 
 impl Common {

@@ -75,6 +75,17 @@ pub(crate) enum ExciteError {
         /// A nearby valid period.
         near_s: f64,
     },
+    /// A signal that is shorter than a period.
+    #[error(
+        "{duration_s} s are less than the period of {period_s} s, and leave sines out: a --duration in whole periods, \
+        or a shorter --period"
+    )]
+    ShorterThanPeriod {
+        /// The length asked for.
+        duration_s: f64,
+        /// The period.
+        period_s: f64,
+    },
     /// A sweep on a logarithmic scale from a frequency to itself.
     #[error("a logarithmic sweep needs two frequencies that differ; both are {hz} Hz")]
     NoSweep {

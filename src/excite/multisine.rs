@@ -66,6 +66,9 @@ impl Multisine {
             let near_s = one as f64 / rate.hz();
             return Err(ExciteError::Period { period_s: self.period_s, rate_hz: rate.hz(), near_s });
         }
+        if all < one {
+            return Err(ExciteError::ShorterThanPeriod { duration_s: self.duration_s, period_s: self.period_s });
+        }
         // A frequency that is a multiple up to rounding counts as one.
         let first = ((self.from_hz * self.period_s) - 1e-9).ceil().max(1.0) as usize;
         let last = ((self.to_hz * self.period_s) + 1e-9).floor() as usize;

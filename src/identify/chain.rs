@@ -12,7 +12,6 @@ use super::model::Noise;
 use super::model::{Orders, Polynomials, angle};
 use super::model_error::ModelError;
 use super::modelled::{BodePoint, Modelled, Role, bandwidths};
-use super::nonlinear::{Nonlinear, nonlinear};
 use super::other_orders::compared;
 use super::periodic::{self, Periodic, Repeats};
 use super::reduce::{Reduced, Reduction, Target, reduce, reduce_in_band};
@@ -22,6 +21,7 @@ use super::settings::{Choice, Estimator, Settings};
 use super::shortest::{as_well, is_better, shortest};
 use super::spectrum::spectrum;
 use super::uncertainty::Covariance;
+use super::wrong_values::{leaves_sigma, wrong_values};
 use super::{IdentifyError, arx, instrumental, other_orders, output_error};
 use std::f64::consts::TAU;
 
@@ -123,7 +123,10 @@ pub(crate) fn identify_with_progress(
         let covariance = sound.then(|| covariance.clone());
         models.push(modelled(Role::Refined, title, model, covariance));
     }
-    let not_linear = not_linear(&data.training, &mut models);
+    let wrong_values = wrong_values(&data.training, &models, data.period_s);
+    if !wrong_values.iter().all(leaves_sigma) {
+        models.iter_mut().filter(|m| m.role == Role::Refined).for_each(Modelled::forget_sigma);
+    }
     let reduced_differs = reduced_differs(&mut models, excited_hz);
     // 5. averaged periods, where the input repeats
     if settings.repeats.is_some() {
@@ -157,7 +160,7 @@ pub(crate) fn identify_with_progress(
         higher_order,
         reduced_differs,
         left,
-        not_linear,
+        wrong_values,
         periodic,
         models,
         fits,
@@ -264,18 +267,6 @@ impl Attempt {
         };
         Self { how, unstable_in_band, reduced, refined }
     }
-}
-
-/// What of the records is not linear, by their names. The refined model then has no σ: it is the best one for this input,
-/// and its errors are not those of noise.
-fn not_linear(training: &[Record], models: &mut [Modelled]) -> Vec<(String, Nonlinear)> {
-    let leading = Role::LEADING.into_iter().find_map(|role| models.iter().find(|m| m.role == role));
-    let Some(model) = leading.filter(|model| model.is_stable()) else { return Vec::new() };
-    let of_record = |record: &Record| Some((record.name.clone(), nonlinear(&model.model, record)?));
-    let found: Vec<_> = training.iter().filter_map(of_record).collect();
-    let refined = models.iter_mut().filter(|m| m.role == Role::Refined && !found.is_empty());
-    refined.for_each(Modelled::forget_sigma);
-    found
 }
 
 /// Takes σ from the reduced model where the refined one differs from it by more than that allows, or has none: σ of ARX

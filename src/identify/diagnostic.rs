@@ -1,6 +1,7 @@
 //! Reasons why a result is less reliable than it looks, in words.
 
 use super::frozen::Frozen;
+use super::gain_change::GainChange;
 use super::jump::Jump;
 use super::model::Orders;
 use super::model_error::ModelError;
@@ -95,14 +96,26 @@ pub enum Diagnostic {
         /// Where, and by how much.
         jump: Jump,
     },
-    /// An input that was recorded as one value while the output moved.
+    /// An input or output that was recorded as one value while the real one moved.
     Frozen {
         /// The record.
         record: String,
         /// Where, and how long.
         frozen: Frozen,
     },
-    /// A system that is not linear: the refined model has no σ.
+    /// An output that is larger or smaller by a factor from some moment on.
+    GainChange {
+        /// The record.
+        record: String,
+        /// Where, and by which factor.
+        change: GainChange,
+    },
+    /// What is told of the records leaves the refined model no σ.
+    OfWrongValues {
+        /// Its name.
+        title: String,
+    },
+    /// A system that is not linear.
     Nonlinear {
         /// The record.
         record: String,
@@ -419,8 +432,10 @@ impl fmt::Display for Diagnostic {
             ),
             Self::Jumps { record, jump } => write!(f, "{record}: {jump}"),
             Self::Frozen { record, frozen } => write!(f, "{record}: {frozen}"),
-            Self::Nonlinear { record, found } => {
-                write!(f, "{record}: {found} (the refined model has no σ: its errors are not those of noise)")
+            Self::GainChange { record, change } => write!(f, "{record}: {change}"),
+            Self::Nonlinear { record, found } => write!(f, "{record}: {found}"),
+            Self::OfWrongValues { title } => {
+                write!(f, "{title}: it has no σ, since what is told of the records bends its coefficients")
             }
             Self::AtLimit { record, count, value } => write!(
                 f,

@@ -4,14 +4,12 @@ use super::continuous::Conversion;
 use super::data::{Data, Record};
 use super::diagnostic::{Diagnostic, WayBack};
 use super::fit::{InitialState, Kind, best_gain};
-use super::frozen::frozen;
 use super::identification::{Differs, Fit, Identification};
-use super::jump::jump;
 use super::model::{Orders, angle};
 use super::modelled::{ContinuousEstimate, Role};
-use super::outliers;
 use super::residuals::{Residuals, too_many};
 use super::spectrum::Spectrum;
+use super::wrong_values::leaves_sigma;
 
 /// Condition number beyond which least squares keeps fewer than five digits.
 const ILL_CONDITIONED: f64 = 1e10;
@@ -94,9 +92,14 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
         None => diagnostics.push(Diagnostic::NoSpectrum),
     }
     diagnostics.extend(off_centre(data));
-    diagnostics.extend(wrong_values(data, done));
-    diagnostics.extend(other_gains(data, done));
-    diagnostics.extend(not_at_rest(data, done));
+    diagnostics.extend(done.wrong_values.iter().cloned());
+    if done.wrong_values.iter().any(|told| !leaves_sigma(told))
+        && let Some(model) = done.model(Role::Refined)
+    {
+        diagnostics.push(Diagnostic::OfWrongValues { title: model.title.clone() });
+    }
+    // A model that was fitted from the wrong state is bent, and fits each record by another gain.
+    diagnostics.extend(not_at_rest(data, done).or_else(|| other_gains(data, done)));
     diagnostics.extend(against_torque(data, done));
     if let Some(residuals) = &done.residuals {
         let has_instrument = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
@@ -247,37 +250,6 @@ fn off_centre(data: &Data) -> Vec<Diagnostic> {
         .filter(|(_, ratio)| *ratio > OFFSET_RATIO)
         .map(|(what, ratio)| Diagnostic::OffCentre { what, ratio })
         .collect()
-}
-
-/// Values of the fitted records that cannot be right.
-fn wrong_values(data: &Data, done: &Identification) -> Vec<Diagnostic> {
-    let model = done.leading().filter(|model| model.is_stable());
-    let outlying = |record: &Record| {
-        let outliers = outliers::outliers(&model?.model, record, data.period_s)?;
-        Some(Diagnostic::Outlying { record: record.name.clone(), outliers })
-    };
-    let at_limit = |record: &Record| {
-        let (count, value) = outliers::limit(record)?;
-        Some(Diagnostic::AtLimit { record: record.name.clone(), count, value })
-    };
-    // Where the input depends on the output, a refined model may follow a jump.
-    let stable = || done.models.iter().filter(|model| model.is_stable());
-    let jumps = |record: &Record| {
-        let jump = stable().find_map(|model| jump(&model.model, record, data.period_s))?;
-        Some(Diagnostic::Jumps { record: record.name.clone(), jump })
-    };
-    let frozen = |record: &Record| {
-        let frozen = frozen(&model?.model, record, data.period_s)?;
-        Some(Diagnostic::Frozen { record: record.name.clone(), frozen })
-    };
-    let not_linear = |record: &Record| {
-        let (_, found) = done.not_linear.iter().find(|(name, _)| *name == record.name)?;
-        Some(Diagnostic::Nonlinear { record: record.name.clone(), found: *found })
-    };
-    // An input that was not recorded looks like anything.
-    let of_input = |record: &Record| frozen(record).or_else(|| not_linear(record));
-    let all = |record| [outlying(record), at_limit(record), jumps(record), of_input(record)];
-    data.training.iter().flat_map(all).flatten().collect()
 }
 
 /// Whether the records differ in their gain.

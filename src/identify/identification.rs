@@ -7,7 +7,6 @@ use super::left::Left;
 use super::model::Orders;
 use super::model_error::ModelError;
 use super::modelled::{Modelled, Role};
-use super::nonlinear::Nonlinear;
 use super::periodic::Periodic;
 use super::reduce::Reduced;
 use super::residuals::Residuals;
@@ -68,8 +67,8 @@ pub struct Identification {
     pub reduced_differs: Option<Differs>,
     /// Whether what the refined model leaves has to do with the input; `None` where that cannot be tested.
     pub left: Option<Left>,
-    /// What of the records that were fitted is not linear, by their names: the refined model then has no σ.
-    pub not_linear: Vec<(String, Nonlinear)>,
+    /// What of the records that were fitted cannot be right, or is not linear: the refined model then has no σ.
+    pub wrong_values: Vec<Diagnostic>,
     /// The model of the lines of averaged periods, if the input was declared to repeat.
     pub periodic: Option<Periodic>,
     /// The models: full, then reduced, refined and periodic where they are.

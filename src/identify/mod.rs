@@ -60,6 +60,7 @@ pub(crate) mod bootstrap;
 mod excited;
 pub(crate) mod fit;
 mod frozen;
+mod gain_change;
 mod jump;
 mod left;
 pub(crate) mod modelled;
@@ -71,6 +72,7 @@ pub(crate) mod spectrum;
 pub(crate) mod uncertainty;
 mod varying;
 mod whitened;
+mod wrong_values;
 
 pub(crate) mod applied;
 pub(crate) mod chain;

@@ -88,7 +88,33 @@ pub(super) fn wrong(provenance: &Table, lens: &Lens) -> Option<Wrong> {
         .or_else(|| no_covariance(provenance, ("camera", "lens_covariance"), of_lens))
         .or_else(|| wrong_table(provenance, ("rig", "covariance"), [parameters; 2], "one for each of rig.parameters"))
         .or_else(|| no_covariance(provenance, ("rig", "covariance"), parameters))
+        .or_else(|| twice(provenance))
         .or_else(|| wrong_table(provenance, ("rig", "volume_mm"), [2, 3], "lowest and highest corner"))
+        .or_else(|| ["origin_sd_mm", "axes_sd_deg"].into_iter().find_map(|key| wrong_sds(provenance, key)))
+}
+
+/// A parameter that has two rows.
+fn twice(provenance: &Table) -> Option<Wrong> {
+    let names = noted(provenance, "rig", "parameters")?.as_array()?;
+    let (place, name) = names.iter().enumerate().find(|(k, name)| names.iter().take(*k).any(|n| n == *name))?;
+    Some(Wrong {
+        key: format!("provenance.rig.parameters[{place}]"),
+        value: name.to_string(),
+        expected: "each parameter once".to_owned(),
+    })
+}
+
+/// σ of the base frame that are none.
+fn wrong_sds(provenance: &Table, key: &str) -> Option<Wrong> {
+    let value = noted(provenance, "base", key)?;
+    let sds = value.as_array().map(|list| list.iter().map(number).collect::<Vec<_>>());
+    let is_sd = |sd: &Option<f64>| sd.is_some_and(|sd| sd.is_finite() && sd >= 0.0);
+    let sound = sds.is_some_and(|sds| sds.len() == 3 && sds.iter().all(is_sd));
+    (!sound).then(|| Wrong {
+        key: format!("provenance.base.{key}"),
+        value: value.to_string(),
+        expected: "three standard deviations, none below 0".to_owned(),
+    })
 }
 
 fn wrong_table(provenance: &Table, (table, key): (&str, &str), size: [usize; 2], meaning: &str) -> Option<Wrong> {

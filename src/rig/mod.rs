@@ -125,9 +125,8 @@ impl Rig {
 
     fn sd_of_base(&self, key: &str) -> Option<Vector3<f64>> {
         let recorded = self.provenance.get("base")?.get(key)?.as_array()?;
-        let sd: Vec<f64> = recorded.iter().filter_map(toml::Value::as_float).collect();
-        let sd = <[f64; 3]>::try_from(sd).ok()?;
-        sd.iter().all(|sd| sd.is_finite() && *sd >= 0.0).then(|| Vector3::from(sd))
+        let sd: Vec<f64> = recorded.iter().filter_map(covariance::number).collect();
+        <[f64; 3]>::try_from(sd).ok().map(Vector3::from)
     }
 
     /// Index of the marker at the tube's end, or else of the last one.

@@ -19,6 +19,8 @@ const LEAST_TUBE_PX: f64 = 4.0;
 const FOCAL: std::ops::RangeInclusive<f64> = 0.2..=50.0;
 /// The base band is no further from where the views look, metres: a catheter is shorter.
 const FARTHEST_BASE_M: f64 = 0.3;
+/// Central rays of regions about one catheter do not pass further apart, metres.
+const FARTHEST_VIEWS_M: f64 = 0.05;
 /// Score by a band's planes beyond which a colour is the band's: 1 on average on the band, 0 on what it was told from.
 const SAME_COLOUR: f64 = 0.5;
 /// Ratio of both, of pixels that are square or nearly so.
@@ -50,6 +52,11 @@ pub enum Warning {
     },
     /// One view gives no depth.
     SingleView,
+    /// The views look at different places.
+    ViewsApart {
+        /// How far apart their central rays pass, metres; `None` if they do not come near each other before the camera.
+        apart_m: Option<f64>,
+    },
     /// A length that is implausible in millimetres.
     Scale {
         /// What has this length, in words.
@@ -184,6 +191,13 @@ impl fmt::Display for Warning {
                 write!(f, "view {view}: {without_ray} of {pixels} grid pixels have no ray; check surfaces and region")
             }
             Self::SingleView => write!(f, "one view only: no position in space can be measured"),
+            Self::ViewsApart { apart_m } => {
+                match apart_m {
+                    Some(m) => write!(f, "the central rays of the views pass {:.0} mm apart", m * 1e3)?,
+                    None => write!(f, "the central rays of the views do not meet behind the surfaces")?,
+                }
+                write!(f, ": are mirror, walls and regions where they are on the bench, in millimetres?")
+            }
             Self::Scale { what, length_m } => {
                 write!(f, "{what} {} mm: are all lengths in the file millimetres?", (length_m * 1e6).round() / 1e3)
             }
@@ -306,6 +320,12 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
     found.extend(scales(rig, views));
     found.extend(narrow_tubes(rig, views, meeting));
     found.extend((views.len() == 1).then_some(Warning::SingleView));
+    let apart_m = meeting.map(|meeting| meeting.apart_m);
+    // Of whole pictures the central rays say nothing.
+    let has_regions = views.len() > 1 && rig.views.iter().all(|view| !view.region_px.is_empty());
+    if has_regions && apart_m.is_none_or(|apart_m| apart_m > FARTHEST_VIEWS_M) {
+        found.push(Warning::ViewsApart { apart_m });
+    }
     if let Some(ClosestApproach { angle_rad, .. }) = meeting
         && *angle_rad < NARROW_RAD
     {

@@ -11,7 +11,8 @@
 //!
 //! Packets may be lost after they were coded, by a recorder or a network. In H.264 and H.265 the next picture refers to
 //! one that is missing, and the decoder says so. Pictures of damaged packets that it then keeps to itself are damaged
-//! too.
+//! too. Where the container is damaged, so are the packet before that place, of which a part may be lost, and those
+//! after it.
 //!
 //! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the
 //! decoder does not notice. VP8, MPEG-4 and MPEG-2 do not number their pictures.
@@ -38,17 +39,20 @@ pub(crate) struct DamageLog {
     number_of: BTreeMap<i64, u64>,
     /// Whether the stream may skip numbers of pictures without a loss.
     skips_numbers: bool,
+    /// Whether the decoder gives out what it has of a picture after an error, and says no more of it.
+    hides_errors: bool,
 }
 
 impl DamageLog {
-    /// Of a stream that may skip numbers of pictures without a loss, or must not.
-    pub(super) fn new(skips_numbers: bool) -> Self {
-        Self { skips_numbers, ..Self::default() }
+    /// Of a stream that may skip numbers of pictures without a loss, or must not; and of a decoder that gives out
+    /// pictures with errors as if there were none, or says more of them.
+    pub(super) fn new(skips_numbers: bool, hides_errors: bool) -> Self {
+        Self { skips_numbers, hides_errors, ..Self::default() }
     }
 
     /// Forgets all packets.
     pub(super) fn forget(&mut self) {
-        *self = Self::new(self.skips_numbers);
+        *self = Self::new(self.skips_numbers, self.hides_errors);
     }
 
     /// The next packet to be decoded; returns its number.
@@ -70,9 +74,9 @@ impl DamageLog {
     /// The decoder said this of packet `number`.
     pub(super) fn heard(&mut self, number: u64, said: Said) {
         match said {
-            Said::Error => _ = self.suspects.insert(number),
+            Said::Error if !self.hides_errors => _ = self.suspects.insert(number),
             Said::SkipsNumbers if self.skips_numbers => {}
-            Said::Concealed => self.mark(number, self.time_of(number)),
+            Said::Error | Said::Concealed => self.mark(number, self.time_of(number)),
             Said::SkipsNumbers => {
                 // What is missing before a key frame harms only pictures that are shown before it.
                 let before = self.keys.get(&number).map(|shown| shown.map(|shown| shown.saturating_sub(1)));
@@ -87,6 +91,11 @@ impl DamageLog {
         self.mark(number, self.time_of(number));
         self.told.insert(number);
         self.awaited(number)
+    }
+
+    /// A part of packet `number`, or what it is predicted from, may be missing.
+    pub(super) fn is_doubtful(&mut self, number: u64) {
+        self.mark(number, self.time_of(number));
     }
 
     /// A packet is damaged, with what is shown at `pts` or later: the latest counts.
@@ -268,7 +277,7 @@ mod tests {
     #[test]
     fn what_the_decoder_keeps_back_after_a_loss_is_damaged_and_told_once() {
         for (skips_numbers, expected) in [(false, vec![11, 12, 13]), (true, vec![])] {
-            let mut log = DamageLog::new(skips_numbers);
+            let mut log = DamageLog::new(skips_numbers, false);
             // Packet 10 was lost.
             let mut told = Vec::new();
             for pts in (0..24).filter(|pts| *pts != 10) {

@@ -8,7 +8,7 @@ use super::container::{MAX_REORDERED, best_video, count_hint, open_decoder, open
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
 use super::headers::skips_numbers;
-use super::messages::{self, Messages};
+use super::messages::{self, Messages, OfContainer};
 use super::quantisation::Stated;
 use super::times::seconds;
 use super::{Clock, SourceError, Span};
@@ -27,6 +27,9 @@ const MAX_UNDECODED: usize = 1000;
 /// Packets that are read before they are decoded, so that they can be checked meanwhile. Threads may have to wait for a
 /// processor as long as some pictures take.
 const READ_AHEAD: usize = 4;
+/// Frames that the declared length of a recording may have after its last packet's time of decoding: more than coders
+/// reorder.
+const LAST_FRAMES: f64 = 5.0;
 /// Unreadable packets in a row after which the rest is given up.
 const UNREADABLE: u32 = 1000;
 /// How long a stream may go on without a picture that can be decoded. Key frames are mostly 1 to 10 s apart.
@@ -50,6 +53,15 @@ fn time_of(frame: &av::frame::Video) -> Option<i64> {
     frame.pts().or(frame.timestamp())
 }
 
+/// A packet that was read.
+struct Read {
+    packet: InCheck,
+    /// Whether others may be missing before it: the container is damaged there.
+    after_damage: bool,
+    /// Whether the container is damaged right after it: what was lost mostly begins within it.
+    before_damage: bool,
+}
+
 /// The pictures of a stream.
 pub(super) struct Decoding {
     path: PathBuf,
@@ -66,7 +78,7 @@ pub(super) struct Decoding {
     messages: Messages,
     check: PacketCheck,
     /// Packets read and not decoded yet; the last entry may be why there is none.
-    read: VecDeque<Result<InCheck, av::Error>>,
+    read: VecDeque<Result<Read, av::Error>>,
     /// What packets whose pictures have not been decoded yet state of their quantisers.
     stated: BTreeMap<i64, Stated>,
     /// Times of damaged packets that have given no picture yet.
@@ -93,6 +105,10 @@ pub(super) struct Decoding {
     in_turn: VecDeque<i64>,
     /// Whether the recording itself trims frames at the end.
     trimmed: bool,
+    /// Whether the container was found to be damaged, and that was told.
+    damage_told: bool,
+    /// The latest time of decoding that a packet states.
+    latest_dts: Option<i64>,
     /// Packets read since the beginning; `None` after a jump.
     packets: Option<i64>,
     /// Live, before the first picture: when the first packet was read, if it was.
@@ -113,7 +129,7 @@ impl Decoding {
         let stream = best_video(&path, &input)?;
         let decoder = open_decoder(&path, &stream, threads, clock == Clock::Stream)?;
         let check = PacketCheck::of(&path, &stream);
-        let damage = DamageLog::new(skips_numbers(&stream));
+        let damage = DamageLog::new(skips_numbers(&stream), stream.parameters().id() == av::codec::Id::HEVC);
         Ok(Self {
             stream: stream.index(),
             time_base: stream.time_base(),
@@ -141,6 +157,8 @@ impl Decoding {
             read_at: VecDeque::new(),
             in_turn: VecDeque::new(),
             trimmed: false,
+            damage_told: false,
+            latest_dts: None,
             packets: Some(0),
             awaits_first: (clock == Clock::Stream).then_some(None),
         })
@@ -195,6 +213,7 @@ impl Decoding {
         self.ahead = None;
         self.draining = false;
         self.trimmed = false;
+        self.latest_dts = None;
     }
 
     /// Gives back a frame of [`Self::decode`], to be the next one.
@@ -315,13 +334,16 @@ impl Decoding {
                 self.next_packet()
             };
             match next {
-                Ok(next) => {
+                Ok(Read { packet: next, after_damage, before_damage }) => {
                     let packet = &*next.packet;
                     let pts = packet.pts().or(packet.dts());
                     if packet.pts().is_none() && self.clock == Clock::Container {
                         self.in_turn.extend(packet.dts());
                     }
                     let number = self.damage.packet(pts, packet.is_key());
+                    if before_damage || after_damage && !packet.is_key() {
+                        self.damage.is_doubtful(number);
+                    }
                     if let (Some(before), Some(pts)) = (&mut self.before_first, packet.pts())
                         && !is_left_out(packet)
                         && before.len() < MAX_UNDECODED
@@ -354,7 +376,7 @@ impl Decoding {
                     self.damaged_packet(av::Error::InvalidData, false);
                     continue;
                 }
-                Err(av::Error::Eof) => {}
+                Err(av::Error::Eof) => self.note_missing(),
                 Err(error) => {
                     self.ends_early.get_or_insert_with(|| format!("reading failed: {error}"));
                 }
@@ -377,21 +399,35 @@ impl Decoding {
 
     /// The stream's next packet. Of a recording some more are read, and their check begins; live, they have not come
     /// yet.
-    fn next_packet(&mut self) -> Result<InCheck, av::Error> {
-        let ahead = if self.check.has_thread() && self.clock != Clock::Stream { READ_AHEAD } else { 0 };
+    fn next_packet(&mut self) -> Result<Read, av::Error> {
+        let ahead = match self.clock {
+            Clock::Stream => 0,
+            _ if self.check.has_thread() => READ_AHEAD,
+            // Damage of the container is found behind the packet that it begins in.
+            _ => 1,
+        };
         while self.read.len() <= ahead && !matches!(self.read.back(), Some(Err(_))) {
-            let packet = self.read_packet().map(|packet| self.check.begin(packet));
-            self.read.push_back(packet);
+            let mut after_damage = false;
+            let packet = self.read_packet(&mut after_damage).map(|packet| self.check.begin(packet));
+            if let Some(Ok(last)) = self.read.back_mut() {
+                last.before_damage = after_damage;
+            }
+            self.read.push_back(packet.map(|packet| Read { packet, after_damage, before_damage: false }));
         }
         self.read.pop_front().unwrap_or(Err(av::Error::Eof))
     }
 
-    fn read_packet(&mut self) -> Result<av::Packet, av::Error> {
+    /// `after_damage`: set where packets may be missing before it.
+    fn read_packet(&mut self, after_damage: &mut bool) -> Result<av::Packet, av::Error> {
         let mut packet = av::Packet::empty();
         loop {
-            let (read, cut_off) = messages::hearing_of_a_cut(|| packet.read(&mut self.input));
-            if cut_off {
+            let (read, said) = messages::hearing_of_container(|| packet.read(&mut self.input));
+            if said == OfContainer::CutOff {
                 self.ends_early.get_or_insert_with(|| "its container ends in the middle of an element".to_owned());
+            }
+            if said == OfContainer::Damaged && self.clock == Clock::Container {
+                *after_damage = true;
+                self.container_is_damaged(matches!(read, Err(av::Error::Eof)));
             }
             read?;
             if packet.stream() == self.stream {
@@ -399,6 +435,7 @@ impl Decoding {
             }
         }
         self.note_arrival(&packet);
+        self.latest_dts = packet.dts().max(self.latest_dts);
         if let Some(first) = &mut self.awaits_first {
             first.get_or_insert_with(Instant::now);
         }
@@ -415,6 +452,45 @@ impl Decoding {
             self.trimmed = true;
         }
         Ok(packet)
+    }
+
+    /// libav could not read the container after the latest packet, and found its structure again or reached the end.
+    fn container_is_damaged(&mut self, at_end: bool) {
+        if at_end && !self.reaches_declared_end() {
+            self.ends_early.get_or_insert_with(|| {
+                "its container is damaged there, and nothing that follows can be read".to_owned()
+            });
+        } else if !self.damage_told {
+            self.damage_told = true;
+            tracing::warn!(
+                "{}: the container is damaged after {}: pictures may be missing there",
+                self.path.display(),
+                self.at()
+            );
+        }
+    }
+
+    /// Whether the latest packet is one of the last of the length that the container declares.
+    fn reaches_declared_end(&self) -> bool {
+        let length_s = self.input.duration() as f64 / f64::from(av::ffi::AV_TIME_BASE);
+        let [_, average] = self.rates.map(f64::from);
+        let latest_s = |ticks: i64| (ticks - self.start_pts.max(0)) as f64 * f64::from(self.time_base);
+        length_s > 0.0 && self.latest_dts.is_some_and(|ticks| latest_s(ticks) + LAST_FRAMES / average >= length_s)
+    }
+
+    /// At the end of an AVI, whose packets have no times but are counted: whether it declares more of them.
+    fn note_missing(&mut self) {
+        let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
+        let (Some(latest), true) = (self.latest_dts, self.input.format().name() == "avi") else { return };
+        let missing = frames.saturating_sub(latest.saturating_add(1));
+        if self.packets.is_none() || missing < 1 {
+            return;
+        }
+        let found = format!(
+            "of the {frames} frames that its header declares {missing} were not found. AVI has no times: if they are \
+             missing in the middle, those after that place are too early by as many frames"
+        );
+        self.ends_early = Some(self.ends_early.take().map_or(found.clone(), |why| format!("{why}; {found}")));
     }
 
     fn note_arrival(&mut self, packet: &av::Packet) {

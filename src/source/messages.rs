@@ -32,7 +32,18 @@ const TELLING: [(&[u8], Said); 5] = [
     (b"Could not find ref", Said::Concealed),
     (b"Frame num gap", Said::SkipsNumbers),
 ];
-/// What a message of a Matroska container begins with that ends where it declares more. libav reports a normal end.
+/// What is said of a container while it is read. libav goes on where it can, or reports a normal end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum OfContainer {
+    /// Nothing.
+    Sound,
+    /// An error: what comes next is where libav found the container's structure again.
+    Damaged,
+    /// It ends where it declares more.
+    CutOff,
+}
+
+/// What a message of a Matroska container begins with that is cut off.
 const CUT_OFF: &[u8] = b"File ended prematurely";
 /// Packets remembered: more than there can be threads.
 const REMEMBERED: usize = 256;
@@ -48,8 +59,8 @@ static HEARD: Mutex<BTreeMap<usize, Said>> = Mutex::new(BTreeMap::new());
 thread_local! {
     /// What is logged on this thread, as long as [`logged`] listens.
     static LOGGED: RefCell<Option<Vec<String>>> = const { RefCell::new(None) };
-    /// Whether a container was said on this thread to be cut off.
-    static HEARD_OF_CUT: Cell<bool> = const { Cell::new(false) };
+    /// What was said on this thread of a container.
+    static OF_CONTAINER: Cell<OfContainer> = const { Cell::new(OfContainer::Sound) };
 }
 
 /// The lines that libav logs on this thread while something is done; they go nowhere else.
@@ -59,11 +70,11 @@ pub(super) fn logged(done: impl FnOnce()) -> Vec<String> {
     LOGGED.take().unwrap_or_default()
 }
 
-/// What is read from a container, and whether libav says meanwhile that it is cut off.
-pub(super) fn hearing_of_a_cut<T>(read: impl FnOnce() -> T) -> (T, bool) {
-    HEARD_OF_CUT.set(false);
+/// What is read from a container, and what libav says of it meanwhile.
+pub(super) fn hearing_of_container<T>(read: impl FnOnce() -> T) -> (T, OfContainer) {
+    OF_CONTAINER.set(OfContainer::Sound);
     let read = read();
-    (read, HEARD_OF_CUT.get())
+    (read, OF_CONTAINER.get())
 }
 
 /// Keys of a decoder's latest packets, and their numbers.
@@ -144,17 +155,19 @@ unsafe extern "C" fn hear(context: *mut c_void, level: c_int, format: *const c_c
             return;
         }
         let begin = CStr::from_ptr(format).to_bytes();
-        if begin.starts_with(CUT_OFF) {
-            HEARD_OF_CUT.set(true);
-        }
         let is_error = level <= av::ffi::AV_LOG_ERROR as c_int;
+        let class = if context.is_null() { std::ptr::null() } else { *context.cast::<*const av::ffi::AVClass>() };
+        if begin.starts_with(CUT_OFF) {
+            OF_CONTAINER.set(OfContainer::CutOff);
+        } else if is_error && class == av::ffi::avformat_get_class() {
+            OF_CONTAINER.set(OF_CONTAINER.get().max(OfContainer::Damaged));
+        }
         let told = TELLING.iter().find(|(how, _)| begin.starts_with(how));
         let said = told.map(|(_, said)| *said).or(is_error.then_some(Said::Error));
+        // Contexts of this class are those of coders.
         if let Some(said) = said
-            && !context.is_null()
-            && *context.cast::<*const av::ffi::AVClass>() == av::ffi::avcodec_get_class()
+            && class == av::ffi::avcodec_get_class()
         {
-            // Contexts of this class are those of coders.
             let key = (*context.cast::<av::ffi::AVCodecContext>()).opaque.addr();
             // Another library's decoders may keep something else there.
             if (1..NEXT.load(Relaxed)).contains(&key) {

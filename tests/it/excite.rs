@@ -52,6 +52,7 @@ fn limits_are_kept_by_refusing_or_by_cutting_off() {
     refused(&["chirp", "--slew", "3A/s"], "an amplitude of 61.4 mA keeps it");
     refused(&["steps", "--levels", "0mA,100mA", "--hold", "0.1s", "--slew", "0.5A/s"], "takes 0.200 s at 0.5 A/s");
     refused(&["multisine", "--period", "20.01s"], "is the nearest");
+    refused(&["multisine", "--period", "20s", "--duration", "19s"], "less than the period of 20 s");
     refused(&["chirp", "--to", "31Hz"], "stay below 30 Hz");
     refused(&["chirp", "--amplitude", "100"], "`100` has no unit: write 100mA");
     refused(&["chirp", "--coils", "a,a"], "--coils: names of columns, all different");
@@ -64,6 +65,11 @@ fn limits_are_kept_by_refusing_or_by_cutting_off() {
 
     let (table, message) = made(folder.path(), &["chirp", "--amplitude", "150mA", "--slew", "3A/s", "--clip"]);
     assert!(message.contains("limit of current: ") && message.contains("limit of slew: "), "{message}");
+    let of_energy = |slew: &str| {
+        let clipped = excite(folder.path(), &["chirp", "--slew", slew, "--clip", "-o", "slow.csv"]);
+        stderr(&clipped).contains("of the signal's energy is between 0.5 Hz and 8 Hz")
+    };
+    assert!(!of_energy("3A/s") && of_energy("0.02A/s"));
     let values: Vec<f64> = table.rows.iter().map(|row| row.values_a[0]).collect();
     assert!(values.iter().all(|value| value.abs() <= 0.1 + 1e-9));
     assert!(values.windows(2).all(|pair| (pair[1] - pair[0]).abs() * 60.0 <= 3.0 + 1e-6));

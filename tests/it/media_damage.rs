@@ -277,6 +277,91 @@ fn a_broken_packet_of_an_avi_costs_its_own_time() {
     }
 }
 
+/// Every sound frame, and whether the end is said to be early, with the reason.
+fn read_to_the_end(path: &Path) -> (usize, Option<String>) {
+    let mut source = VideoFile::open(path, VideoOptions { keep_damaged: true, ..VideoOptions::default() }).unwrap();
+    let mut frames = 0;
+    loop {
+        match source.next_frame() {
+            Ok(Some(_)) => frames += 1,
+            Ok(None) => return (frames, None),
+            Err(error) => {
+                assert!(error.is_early_end(), "{error}");
+                return (frames, Some(error.to_string()));
+            }
+        }
+    }
+}
+
+/// A lost sector may hide all that follows from libav, which reports a normal end.
+#[test]
+fn a_lost_sector_that_ends_a_recording_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("zeroed.mkv");
+    let bytes = std::fs::read(sample("planar.mkv")).unwrap();
+    assert_eq!(read_to_the_end(&sample("planar.mkv")), (300, None));
+    let mut told = 0;
+    for k in 1..12 {
+        let mut damaged = bytes.clone();
+        let at = k * bytes.len() / 12 / 4096 * 4096;
+        damaged[at..at + 4096].fill(0);
+        std::fs::write(&path, &damaged).unwrap();
+        let (frames, early) = read_to_the_end(&path);
+        assert_eq!(early.is_some(), frames < 290, "sector at {at}: {frames} frames, {early:?}");
+        assert!(early.as_ref().is_none_or(|why| why.contains("its container is damaged there")), "{early:?}");
+        told += usize::from(early.is_some());
+    }
+    assert!(told >= 3, "{told}");
+}
+
+/// The frames of an AVI are counted: after a hole all are too early.
+#[test]
+fn frames_that_are_missing_in_the_middle_of_an_avi_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("hole.avi");
+    let pts: Vec<i64> = (0..50).collect();
+    write(&path, &Recording { pts: &pts, time_base: (1, 50), b_frames: 0, ..Recording::default() });
+    let bytes = std::fs::read(&path).unwrap();
+    assert_eq!(read_to_the_end(&path), (50, None));
+    let chunks: Vec<usize> = (0..bytes.len() - 8).filter(|at| &bytes[*at..*at + 4] == b"00dc").collect();
+    let hole = [&bytes[..chunks[20]], &bytes[chunks[23]..]].concat();
+    let mut zeroed = bytes.clone();
+    zeroed[chunks[20]..chunks[20] + 8].fill(0);
+    for (damaged, missing) in [(hole, 3), (zeroed, 1)] {
+        std::fs::write(&path, &damaged).unwrap();
+        let (_, early) = read_to_the_end(&path);
+        let words = format!("of the 50 frames that its header declares {missing} were not found");
+        assert!(early.as_ref().is_some_and(|why| why.contains(&words)), "{early:?}");
+    }
+}
+
+/// The decoder of H.265 gives out what it has of a picture, and only its messages tell.
+#[test]
+fn changed_bits_in_h265_are_noticed_where_the_decoder_stumbles() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("changed.mkv");
+    let pts: Vec<i64> = (0..60).map(|k| 17 * k).collect();
+    write(
+        &path,
+        &Recording { pts: &pts, size_px: [160, 120], encoder: "libx265", b_frames: 0, ..Recording::default() },
+    );
+    let bytes = std::fs::read(&path).unwrap();
+    let sound = read(&path, 1);
+    let mut random = fastrand::Rng::with_seed(5);
+    let (mut lying, mut noticed) = (0, 0);
+    for k in 0..40 {
+        let mut damaged = bytes.clone();
+        let at = random.usize(3000..bytes.len() - 600);
+        damaged[at] ^= 1 << (k % 8);
+        std::fs::write(&path, &damaged).unwrap();
+        let found = read(&path, 1);
+        lying += usize::from(lies_of_more_than(40, &found, &sound) > 0);
+        noticed += usize::from(found.iter().any(|frame| frame.1) || found.len() < sound.len());
+    }
+    println!("{lying} {noticed}");
+    assert!(noticed >= 20 && lying <= 20, "{noticed} noticed, {lying} lie");
+}
+
 /// An edit list says which part of an MP4 is shown.
 #[test]
 fn what_an_edit_list_leaves_out_is_left_out() {

@@ -245,6 +245,16 @@ fn mistakes_are_named() {
         ),
         (
             "[provenance]",
+            "[provenance.rig]\nparameters = [\"a\", \"a\"]\ncovariance = [[4.0, 1.0], [1.0, 4.0]]\n[provenance]",
+            &["provenance.rig.parameters[1] = \"a\"", "each parameter once"],
+        ),
+        (
+            "[provenance]",
+            "[provenance.base]\norigin_sd_mm = [-1.0, 0, 0]\n[provenance]",
+            &["provenance.base.origin_sd_mm = [-1.0, 0, 0]", "three standard deviations, none below 0"],
+        ),
+        (
+            "[provenance]",
             "[provenance.rig]\nparameters = [\"a\", \"b\"]\ncovariance = [[4.0, 1.0], [1.1, 4.0]]\n[provenance]",
             &["provenance.rig.covariance[1][0] = 1.1", "1, as in row 0 and column 1: a covariance is symmetric"],
         ),
@@ -487,6 +497,9 @@ fn warnings_say_what_is_missing_or_odd() {
     );
     let grazing = grazing.replace("path = [\"side_mirror\", \"side_wall\"]", "path = [\"side_mirror\"]");
     any(&warned(&grazing), "side_mirror is met nearly edge-on (80.0°");
+    assert!(!warned(RIG).iter().any(|w| w.contains("the central rays of the views")));
+    let in_cm = changed("offset_mm = -855.599205236", "offset_mm = -85.5599205236");
+    any(&warned(&in_cm), "the central rays of the views");
 }
 
 #[expect(clippy::unwrap_used, reason = "called by tests only: a program that cannot be started fails them")]
