@@ -23,6 +23,10 @@ const MAX_PLACES: usize = 2_000_000;
 const HARDLY_LONGER: f64 = 0.1;
 /// Longest interval that resampling bridges, in periods.
 const LONGEST_BRIDGED: f64 = 2.5;
+/// A step of times that is larger than this part of the usual interval is rough, if more than this part of the intervals
+/// is no multiple of that.
+const ROUGH: f64 = 0.2;
+const MANY_UNEVEN: f64 = 0.1;
 
 /// A raw record, with one entry per sample.
 #[derive(Debug, Clone, Default)]
@@ -385,6 +389,20 @@ pub(crate) fn resample(series: &Series, period_s: Option<f64>) -> Result<Series,
     })
 }
 
+/// The step that uneven times seem to be rounded to, seconds, if it is a large part of their usual interval. Where rows
+/// are missing from even times, intervals are multiples of the usual one.
+pub(crate) fn rounded_to(series: &Series) -> Option<f64> {
+    let (time_s, usual_s) = (&series.time_s, usual_interval(&series.name, &series.time_s).ok()?);
+    let first = *time_s.first()?;
+    let steps = [1.0, 0.1, 0.01, 0.001, 1e-4];
+    let is_whole = |value: f64| (value - value.round()).abs() < 1e-4;
+    let step_s = steps.into_iter().find(|step| time_s.iter().all(|t| is_whole((t - first) / step)))?;
+    let pairs = time_s.iter().zip(time_s.iter().skip(1));
+    let uneven = pairs.filter(|(a, b)| !is_whole((*b - *a) / usual_s)).count();
+    let told = step_s > ROUGH * usual_s && uneven as f64 > MANY_UNEVEN * time_s.len() as f64;
+    told.then_some(step_s)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -521,5 +539,18 @@ mod tests {
         // From 2 to 3: 20 for half a second, then 25.
         assert_eq!(even.drive[2], Some(22.5));
         assert_eq!(even.drive[4], Some(40.0));
+    }
+
+    #[test]
+    fn rounded_times_are_told_from_exact_ones_with_holes() {
+        let times = |at: &dyn Fn(f64) -> f64| (0..300).map(|k| at(f64::from(k))).collect::<Vec<_>>();
+        let of = |times: &[f64]| rounded_to(&series(times, |t| t));
+        let to = |step: f64, t: f64| (t / step).round() * step;
+        assert_eq!(of(&times(&|k| to(0.01, k / 60.0))), Some(0.01));
+        assert_eq!(of(&times(&|k| to(0.01, k / 30.0))), Some(0.01));
+        assert_eq!(of(&times(&|k| to(0.001, k / 60.0))), None);
+        assert_eq!(of(&times(&|k| k / 60.0)), None);
+        let with_holes: Vec<f64> = times(&|k| k / 100.0).into_iter().filter(|t| (t * 7919.0) % 1.0 > 0.15).collect();
+        assert!(with_holes.len() < 280 && of(&with_holes).is_none());
     }
 }

@@ -153,6 +153,10 @@ impl Marker {
     fn place(&self, sheet: &Sheet, row: &Row) -> Result<Place, SeriesError> {
         let point = vector(sheet, row, self.xyz)?.map(|mm| Point3::from(mm * M_PER_MM));
         let sd_mm = self.sd.map(|column| sheet.number(row, column)).transpose()?.flatten();
+        if let Some(sd_mm) = sd_mm.filter(|sd_mm| *sd_mm < 0.0) {
+            let problem = format!("σ of the marker's position is {sd_mm} mm: a standard deviation is not negative");
+            return Err(sheet.wrong_at(row, problem));
+        }
         let word = self.status.and_then(|column| row.cells.get(column)).filter(|word| !word.is_empty());
         let known = || if point.is_some() { "ok" } else { "missing" }.to_owned();
         Ok(Place { point, sd_m: sd_mm.map(|mm| mm * M_PER_MM), status: word.map_or_else(known, String::to_owned) })

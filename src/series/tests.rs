@@ -224,6 +224,10 @@ fn tables_of_others_need_a_time_and_a_measurement() {
         "a.csv, line 2: one of three coordinates is missing, in column `y_mm`"
     );
     assert_eq!(
+        message("t_s,tip_x_mm,tip_y_mm,tip_z_mm,tip_sd_mm\n0,1,2,3,-0.1\n"),
+        "a.csv, line 2: σ of the marker's position is -0.1 mm: a standard deviation is not negative"
+    );
+    assert_eq!(
         message("t_s,theta_deg\nlate,1\n"),
         "a.csv, line 2: `late` in column `t_s` is not a time in seconds, such as 0.0166667"
     );

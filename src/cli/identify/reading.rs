@@ -9,7 +9,7 @@ use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay, Drift, Timing};
 use crate::identify::fit::InitialState;
-use crate::identify::grid::{Grid, GridError, Series, coarser, cut, resample};
+use crate::identify::grid::{Grid, GridError, Series, coarser, cut, resample, rounded_to};
 use crate::identify::hold::Held;
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
@@ -199,6 +199,14 @@ fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failur
         let grid = Grid::of(&series.name, &series.time_s).map_err(Failure::usage)?;
         let (record, bridged) = cut(series, &grid, args.bridge);
         return Ok((record, grid, bridged));
+    }
+    if let Some(step_s) = rounded_to(series) {
+        tracing::warn!(
+            "{}: its times are whole multiples of {step_s} s, a large part of the time from row to row, and uneven: if \
+             they were rounded, they are wrong by up to half of that, and H(s) by many times its σ: export them with \
+             more digits",
+            series.name
+        );
     }
     // Fewer samples than there are: the input is not held for a whole new period, which decimation accounts for.
     let factor = args.period.map_or(Ok(1), |period| coarser(series, period)).map_err(Failure::usage)?;
