@@ -46,14 +46,14 @@ point " 6 threads do not change the answer" "27 rows with one, 69 with two" --te
 point " 7 damaged JPEG is noticed" "none" --lib source::jpeg -- --nocapture
 point " 7 damaged Motion JPEG is noticed" "13 of 60 measured as good" --test it media_damage::most_damage -- --nocapture
 point " 7 a jump is no measurement" "up to 99 mm off at a σ of 0.05 mm" --test it track_motion::
-point " 7 true motions are no jumps" "-" --lib track::motion
+point " 7 true motions are no jumps" "-" --lib track::judge::motion
 point " 8 results do not overwrite anything" "input and report were" --test it identify_bad_input::nothing_is_written_over
 point "10 a header of 90 gigabytes" "aborted, with all other pictures" --test it hostile_input::a_header
 point "11 a changed bit in a schema" "exit code 101" --test it log_damage::a_changed_bit_in_a_schema
 point "12 YAML that multiplies itself" "5.9 GB; stack overflow" --test it hostile_input::a_yaml
 point "14 large pictures that show nothing" "88 s and 2.8 GB" --test it hostile_input::large_pictures
 point "14 15 numbers in a rig" "accepted; more than 60 s" --test it hostile_input::numbers_in_a_rig
-point "14 many views of many things" "34 s for 12 frames" --lib track::assign_tests::many_views
+point "14 many views of many things" "34 s for 12 frames" --lib track::assign::tests::many_views
 point "13 17 19 sources of currents" "20 GB read; exit code 1" --test it hostile_input::sources_of_currents
 point "17 currents that are not plausible" "1e308 A in the log" --lib live::currents
 point "18 web pages of others" "read along" --test realtime publish::

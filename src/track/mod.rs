@@ -1,72 +1,33 @@
 //! From blobs to an estimate: assignment, the fit of the tube to all views, the coil's tangent.
+//!
+//! A frame goes through these folders, and [`Tracker::step`] composes them (`tracker.rs`):
+//!
+//! 1. `assign/`: which blob is which band in which view;
+//! 2. `fit/`: the tube around the bands, fitted to the pictures of all views. `model/` says how a picture shows a tube,
+//!    `compare/` compares pixels with that;
+//! 3. `judge/`: whether a fit shows its band, or something in front of it;
+//! 4. `answer/`: positions, tangent and θ, with all that their covariances have to hold.
+//!
+//! `memory/` has what is usual for a band, from the frames before; `recording/` what is asked of the recording as a
+//! whole, and `warnings.rs` what is then said of it.
+//!
+//! Imports go one way: from `memory`, `model` and `assign` up through `compare`, `fit` and `judge` to `recording`; and
+//! from `fit` to `answer`.
 
 mod answer;
-mod apart;
-mod appearance;
 mod assign;
-#[cfg(test)]
-mod assign_tests;
-mod blending;
-mod blocks;
-mod by_band;
-mod carried;
-mod channel;
-mod chunk;
-mod coil;
 mod compare;
-mod copied;
-mod covariance;
-pub(crate) mod curve;
-mod denoised;
-mod diameter;
-mod equations;
-pub(crate) mod exposure;
-mod fields;
-mod find;
 mod fit;
-mod focus;
-mod fringes;
-mod grain;
-mod group_fit;
-mod image_model;
 mod judge;
-mod lag;
-mod lamp;
-mod last;
-mod light;
-mod light_change;
-mod mosaic;
-mod motion;
-mod moved;
-mod no_fit;
-mod normal;
-mod order;
-mod padded;
-mod pairs;
-mod part;
-mod patch;
-mod places;
-mod repeats;
-mod rolling;
-mod round;
-mod scatter;
-mod scores;
-mod separation;
-mod shake;
-mod slip;
-mod stays;
-mod stretch;
+mod memory;
+mod model;
+mod recording;
 mod tracker;
-mod trials;
-mod tube;
-mod tube_image;
-mod usual;
-mod view;
 mod warnings;
-mod ways;
-mod widths;
 
-pub use coil::deflection;
-pub(crate) use coil::{theta_derivative, theta_derivative_by_turn};
-pub(crate) use image_model::ModelError;
+pub use answer::deflection::deflection;
+pub(crate) use answer::deflection::{theta_derivative, theta_derivative_by_turn};
+pub(crate) use model::image_model::ModelError;
+pub(crate) use recording::long_exposure::LONGEST_EXPOSURE;
+pub(crate) use recording::misfit_curve;
 pub use tracker::{TrackError, TrackOptions, Tracker};

@@ -1,48 +1,47 @@
-//! [`Tracker`]: one frame in, one estimate out. Composes find, the fit of the tube, its judgement, and the answer.
+//! [`Tracker`]: one frame in, one estimate out. Composes assignment, the fit of the tube, its judgement, and the answer.
 
 use crate::estimate::{Estimate, Miss, Spot};
 use crate::rig::Rig;
 use crate::segment::SegmentError;
 use crate::source::{Frame, Picture, PixelFormat, Timestamp, Transfer};
 use crate::track::answer;
-use crate::track::blending::Blending;
-use crate::track::blocks::Blocks;
-use crate::track::carried;
-use crate::track::coil::deflection;
-use crate::track::copied::Copied;
-use crate::track::denoised::Denoised;
-use crate::track::diameter::Diameter;
-use crate::track::exposure::LongExposure;
-use crate::track::fields::Fields;
-use crate::track::find::{Finder, Found};
-use crate::track::fit::{TubeFit, ViewFit};
-use crate::track::focus::Focus;
-use crate::track::fringes::Fringes;
-use crate::track::grain::Grain;
-use crate::track::group_fit::{Fitted, GroupFitting};
-use crate::track::image_model::{ImageModel, ModelError};
-use crate::track::judge::Judge;
-use crate::track::lag::Lag;
-use crate::track::lamp::Lamp;
-use crate::track::last::Last;
-use crate::track::light::Encoding;
-use crate::track::mosaic::Interpolated;
-use crate::track::motion::Motion;
-use crate::track::moved::Moved;
-use crate::track::order::Order;
-use crate::track::pairs::Pairs;
-use crate::track::repeats::Repeats;
-use crate::track::rolling::Rolling;
-use crate::track::scatter::Scatter;
-use crate::track::shake::Shake;
-use crate::track::slip::Seen;
-use crate::track::trials::LONGEST_STEP_S;
-use crate::track::tube::{ShapeStep, TubeShape};
+use crate::track::answer::carried;
+use crate::track::answer::deflection::deflection;
+use crate::track::answer::lateness::Ways;
+use crate::track::answer::moved::Moved;
+use crate::track::answer::rolling_shutter::Rolling;
+use crate::track::answer::scatter::Scatter;
+use crate::track::answer::shake::Shake;
+use crate::track::assign::{Finder, Found};
+use crate::track::compare::chroma_slip::Seen;
+use crate::track::compare::interlacing::Fields;
+use crate::track::compare::sensor_noise::Grain;
+use crate::track::fit::colour_fringes::Fringes;
+use crate::track::fit::group_fit::{Fitted, GroupFitting};
+use crate::track::fit::last_fit::Last;
+use crate::track::fit::tube_fit::{TubeFit, ViewFit};
+use crate::track::judge::{Judge, Motion};
+use crate::track::memory::trials::LONGEST_STEP_S;
+use crate::track::model::functions::Encoding;
+use crate::track::model::image_model::{ImageModel, ModelError};
+use crate::track::model::mosaic::Interpolated;
+use crate::track::model::tube_shape::{ShapeStep, TubeShape};
+use crate::track::recording::blending::Blending;
+use crate::track::recording::blocks::Blocks;
+use crate::track::recording::chroma_lag::Lag;
+use crate::track::recording::copied::Copied;
+use crate::track::recording::denoised::Denoised;
+use crate::track::recording::diameter::Diameter;
+use crate::track::recording::focus::Focus;
+use crate::track::recording::lamp::Lamp;
+use crate::track::recording::long_exposure::LongExposure;
+use crate::track::recording::paired_chroma::Pairs;
+use crate::track::recording::picture_order::Order;
+use crate::track::recording::repeated_pictures::Repeats;
 use crate::track::warnings::{
     BLENDED, COLOURS_LAG, COPIED, DENOISED, FRINGES, LAMP_CHANGED, LONG_EXPOSURE, MOVED, OTHER_TUBE, OUT_OF_FOCUS,
     OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
 };
-use crate::track::ways::Ways;
 use nalgebra::{Matrix3, Vector2};
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where

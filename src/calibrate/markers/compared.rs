@@ -3,7 +3,7 @@
 use crate::median::upper_median;
 use crate::rig::Rig;
 use crate::source::Frame;
-use crate::track::curve::Curve;
+use crate::track::misfit_curve::Curve;
 use crate::track::{TrackOptions, Tracker};
 
 /// Longest time between a frame and its follower, seconds.

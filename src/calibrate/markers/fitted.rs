@@ -8,8 +8,8 @@ use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
 use crate::rig::{Camera, Marker, Rig};
 use crate::source::{Frame, Picture, Timestamp};
-use crate::track::curve::mean_with_sd;
-use crate::track::exposure::LONGEST_EXPOSURE;
+use crate::track::LONGEST_EXPOSURE;
+use crate::track::misfit_curve::mean_with_sd;
 use crate::track::{TrackOptions, Tracker};
 
 /// Frames used for the fit, and for the decision whether a gamma is needed.

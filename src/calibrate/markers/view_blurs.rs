@@ -8,7 +8,7 @@
 use crate::calibrate::markers::compared::{Compared, clipped};
 use crate::rig::Rig;
 use crate::source::Frame;
-use crate::track::curve::{Curve, Distance, STEP, are_apart};
+use crate::track::misfit_curve::{Curve, Distance, STEP, are_apart};
 
 /// Difference from which views have blurs of their own, of the logarithm.
 const APART: f64 = 0.1;

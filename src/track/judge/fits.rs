@@ -1,0 +1,276 @@
+//! Judges the fits of a frame by those of the frames before: what is unusual hides the band, or is not the band.
+
+use crate::estimate::Miss;
+use crate::rig::Rig;
+use crate::source::PixelFormat;
+use crate::track::assign::Found;
+use crate::track::compare::band_widths::UsualWidths;
+use crate::track::compare::chroma_slip::Seen;
+use crate::track::fit::group_fit::{DISAGREEMENT, Fitted};
+use crate::track::fit::tube_fit::ViewFit;
+use crate::track::judge::light_change::{FirstColours, Noisier};
+use crate::track::memory::at_rest::Stays;
+use crate::track::memory::usual::Usual;
+use crate::track::model::functions::Encoding;
+use crate::track::model::separation;
+use nalgebra::Vector2;
+
+/// Residuals and sizes of a band's blobs may exceed the usual by this many standard deviations, all views together;
+/// beyond it something is in front of the band, or it is not the band.
+const MAX_UNUSUAL_SD: f64 = 4.5;
+/// Cap on the size's part: alone it is no evidence, as it also changes with light and motion.
+const MAX_SIZE_TERM: f64 = 3.0;
+/// Widths that differ from the usual by fewer standard deviations are chance.
+const CHANCE_SD: f64 = 1.5;
+
+/// Frames over which the disagreement of the views is averaged.
+const DISAGREEMENT_FRAMES: f64 = 8.0;
+/// Mean disagreement that is no chance: it is 1, with a standard deviation of 0.4.
+const MAX_DISAGREEMENT: f64 = 9.0;
+
+/// Refused frames in a row after which something was in front of a band, and accepted ones for which nothing is learned
+/// of it then. What hides it by and by looks right again where its edge lies on the tube's own, and must not become
+/// usual from there on: a grey bar that crept over a band at rest by 0.03 pixels a frame was refused for 87 frames,
+/// then accepted for good, 13 σ off.
+const LASTING_REFUSAL: u32 = 8;
+const DISTRUSTED_FRAMES: u32 = 300;
+
+/// Half-life of observed chroma slips, frames.
+const SLIP_FRAMES: f64 = 20.0;
+
+/// What is known from the frames before.
+pub(crate) struct Judge {
+    /// Residuals of each band in each view, in the light of the first frames: in motion, once the catheter has moved.
+    pub usual: Usual,
+    stays: Stays,
+    first_colours: FirstColours,
+    noisier: Noisier,
+    /// Ratio of a band's expected size to its blob's.
+    usual_size: Usual,
+    /// Widths of each band in each view.
+    usual_widths: UsualWidths,
+    /// For each marker, the reference of the stretch that it was last part of and whose residuals are known.
+    stretch: Vec<usize>,
+    /// For each reference marker.
+    refusals: Vec<Refusals>,
+    /// Of the fits of each reference marker: mean disagreement of the views, as χ² per degree of freedom.
+    disagreement: Vec<f64>,
+    slip: Seen,
+    /// Observed offset of chroma from the rig's that following frames are fitted with, pixels.
+    pub mean_slip_px: Vector2<f64>,
+}
+
+/// How a band was refused.
+#[derive(Debug, Clone, Copy, Default)]
+struct Refusals {
+    /// In a row, up to now.
+    in_a_row: u32,
+    /// Frames for which nothing is learned of it.
+    distrusted: u32,
+}
+
+impl Refusals {
+    fn refused(&mut self) {
+        self.in_a_row = self.in_a_row.saturating_add(1);
+        if self.in_a_row >= LASTING_REFUSAL {
+            self.distrusted = DISTRUSTED_FRAMES;
+        }
+    }
+
+    /// Notes a frame that is accepted; returns whether to learn from it.
+    fn accepted(&mut self) -> bool {
+        self.in_a_row = 0;
+        let trusted = self.distrusted == 0;
+        self.distrusted = self.distrusted.saturating_sub(1);
+        trusted
+    }
+}
+
+/// The RMS residual of a fit in a view, as it would be in the light of the first frames.
+struct Residual {
+    /// The band with whose residuals it is compared.
+    alike: usize,
+    view: usize,
+    rms: f64,
+}
+
+/// Sum of the squares of so many signs up to which they are chance: its mean and 1.8 standard deviations. Each sign is
+/// normally distributed and counts above zero only, so its square is 1/2 in the mean, with a variance of 5/4. (Coded
+/// pictures differ from frame to frame, as some predict others: with less than this, a quarter of them had a σ that
+/// their errors did not have.)
+fn chance(signs: usize) -> f64 {
+    let signs = signs as f64;
+    signs / 2.0 + 1.8 * (1.25 * signs).sqrt()
+}
+
+impl Judge {
+    pub(crate) fn new(rig: &Rig) -> Self {
+        Self {
+            usual: Usual::learned(rig),
+            stays: Stays::new(rig),
+            first_colours: FirstColours::new(rig),
+            noisier: Noisier::default(),
+            usual_size: Usual::new(rig),
+            usual_widths: UsualWidths::new(rig),
+            stretch: (0..rig.markers.len()).collect(),
+            refusals: vec![Refusals::default(); rig.markers.len()],
+            disagreement: vec![1.0; rig.markers.len()],
+            slip: Seen::default(),
+            mean_slip_px: Vector2::zeros(),
+        }
+    }
+
+    /// Whether the views lastingly disagree about a band.
+    pub(crate) fn views_disagree(&self) -> bool {
+        self.disagreement.iter().any(|mean| *mean > MAX_DISAGREEMENT)
+    }
+
+    /// Adds the slip of chroma and the views' disagreement to the covariances, and refuses fits with unusual residuals
+    /// or of too little of a band.
+    pub(crate) fn judge(
+        &mut self,
+        rig: &Rig,
+        encoding: &Encoding,
+        format: PixelFormat,
+        found: &Found,
+        fitted: &mut [Fitted],
+    ) {
+        self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
+        for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
+            fit.views.iter().for_each(|view| self.slip.add(&view.slip.beyond(&self.mean_slip_px)));
+        }
+        let mean_px = self.slip.mean_px();
+        let variance_px2 = self.slip.variance_px2(&mean_px);
+        let left_px = mean_px - self.mean_slip_px;
+        self.mean_slip_px = self.slip.mean_px_in(format);
+        self.follow_motion(fitted);
+        let residuals: Vec<_> = fitted.iter().map(|fitted| self.residuals(encoding, fitted)).collect();
+        let common = self.usual.common(residuals.iter().flatten().map(|one| (one.alike, one.view, one.rms)));
+        let differences = |of_fit: &Vec<Residual>| -> Vec<f64> {
+            of_fit.iter().filter_map(|one| self.usual.difference(one.alike, one.view, one.rms)).collect()
+        };
+        let differences: Vec<_> = residuals.iter().map(differences).collect();
+        if let Some(ln_factor) = self.noisier.lasting(&differences) {
+            self.usual.scale(ln_factor);
+        }
+        for (Fitted { group, views, result, .. }, residuals) in fitted.iter_mut().zip(&residuals) {
+            let Ok(fit) = result else { continue };
+            fit.covariance += fit.slip_covariance * variance_px2;
+            // What is common to all bands and was not taken out.
+            let moved = fit.moved_by_slip(&left_px);
+            fit.covariance += moved * moved.transpose();
+            // Views that lastingly disagree do not show one moment, or not what the rig says; chance is 1.
+            let mean = &mut self.disagreement[group.reference];
+            let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);
+            *mean += (now - *mean) / DISAGREEMENT_FRAMES;
+            fit.covariance *= (*mean - 1.0).max(1.0);
+            // Expected area of the reference band over that of its blob.
+            let missing = |v: usize, view: &ViewFit| {
+                let blob = found.assigned[group.reference].as_ref().ok()?.blobs[v]?;
+                let knot = view.image.at_arc(0.0);
+                let expected = 2.0 * knot.half_width * knot.scale * rig.markers[group.reference].length_m;
+                Some(expected / found.blobs[blob].area_px2)
+            };
+            let sizes: Vec<_> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
+            let signs = residuals.iter().zip(&fit.views).zip(&sizes);
+            let signs = signs.map(|((&Residual { alike, view: v, rms }, view), size)| {
+                let of_size =
+                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size, 0.0)).min(MAX_SIZE_TERM);
+                let half_px = view.image.at_arc(0.0).half_width;
+                let of_widths = group.members.iter().zip(&view.widths).map(|((marker, _), width)| {
+                    (self.usual_widths.unusual_sd(*marker, v, width, half_px) - CHANCE_SD).max(0.0)
+                });
+                let of_widths = of_widths.fold(0.0, f64::max);
+                let of_residuals = if alike == group.reference {
+                    self.usual.above(alike, v, rms, common)
+                } else {
+                    self.usual.above_alike(alike, v, rms)
+                };
+                of_residuals.hypot(of_size).hypot(of_widths)
+            });
+            let signs: Vec<f64> = signs.collect();
+            let all = signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt();
+            // With an edge before part of a band, errors are about so many times as large as the fit knows. Each view
+            // gives two signs, residual and size; of the width, only what is no chance is in the sum.
+            fit.covariance *= 1.0 + (all * all - chance(2 * signs.len())).max(0.0);
+            if all > MAX_UNUSUAL_SD
+                && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
+            {
+                let view = &fit.views[i];
+                let separation = separation::least(rig, encoding, group, views[i], &view.look.colours);
+                *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
+                self.refusals[group.reference].refused();
+                continue;
+            }
+            if !self.refusals[group.reference].accepted() {
+                continue;
+            }
+            for ((Residual { view: v, rms, .. }, view), size) in residuals.iter().zip(&fit.views).zip(sizes) {
+                if !self.stays.is_at_rest() {
+                    self.usual.add(group.reference, *v, *rms);
+                }
+                self.first_colours.add((group, *v, view));
+                let half_px = view.image.at_arc(0.0).half_width;
+                for ((marker, _), width) in group.members.iter().zip(&view.widths) {
+                    self.usual_widths.add(*marker, *v, width, half_px);
+                }
+                if let Some(size) = size {
+                    self.usual_size.add(group.reference, *v, size);
+                }
+            }
+            if views.iter().all(|v| self.usual.is_known(group.reference, *v)) {
+                group.members.iter().for_each(|(marker, _)| self.stretch[*marker] = group.reference);
+            }
+        }
+    }
+
+    /// Notes where the bands are. When they move for the first time, what was seen of them at rest is forgotten.
+    fn follow_motion(&mut self, fitted: &[Fitted]) {
+        let images = fitted.iter().filter_map(|Fitted { group, views, result, .. }| {
+            let images = result.as_ref().ok()?.views.iter().map(|view| view.image.at_arc(0.0).pixel);
+            Some((group.reference, views.iter().copied().zip(images).collect()))
+        });
+        if self.stays.add(images) {
+            self.usual.forget();
+        }
+    }
+
+    /// The residuals of a fit; none if there is no fit.
+    fn residuals(&self, encoding: &Encoding, Fitted { group, views, result, .. }: &Fitted) -> Vec<Residual> {
+        let of_views = result.iter().flat_map(|fit| &fit.views);
+        let one = |(&view, fit): (&usize, &ViewFit)| {
+            // Of a band that is alone for the first time, what was seen of it together with others.
+            let known = self.usual.is_known(group.reference, view);
+            let alike = if known { group.reference } else { self.stretch[group.reference] };
+            let difference = self.usual.difference(alike, view, fit.rms);
+            let rms = fit.rms * self.first_colours.factor((group, view, fit), encoding, difference);
+            Residual { alike, view, rms }
+        };
+        views.iter().zip(of_views).map(one).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::random::Random;
+
+    #[test]
+    fn nothing_is_learned_for_a_while_after_lasting_refusals() {
+        let mut refusals = Refusals::default();
+        (1..LASTING_REFUSAL).for_each(|_| refusals.refused());
+        assert!(refusals.accepted(), "a few are chance");
+        (0..LASTING_REFUSAL).for_each(|_| refusals.refused());
+        assert!((0..DISTRUSTED_FRAMES).all(|_| !refusals.accepted()) && refusals.accepted());
+    }
+
+    #[test]
+    fn of_signs_by_chance_one_sum_in_twenty_is_more() {
+        let mut random = Random::new(7);
+        for signs in [2, 4, 6] {
+            let mut sum = || random.normals(signs).iter().map(|sign| sign.max(0.0).powi(2)).sum::<f64>();
+            let more = (0..20_000).filter(|_| sum() > chance(signs)).count();
+            assert!((800..1400).contains(&more), "{more} of 20 000, {signs} signs");
+        }
+    }
+}
