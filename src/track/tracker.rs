@@ -1,4 +1,4 @@
-//! [`Tracker`]: one frame in, one estimate out. Composes assignment, the fit of the tube, its judgement, and the answer.
+//! [`Tracker`]: one frame in, one estimate out. Composes assignment, the fit of the tube, its judgement, the answer.
 
 use crate::estimate::{Estimate, Miss, Spot};
 use crate::rig::Rig;

@@ -16,7 +16,7 @@ const CHANCE: f64 = 3.0;
 
 /// The covariance of how far a band was carried, m², if it lies `off` its first place and both places have the
 /// covariance `known` between them; zero where chance explains it.
-pub(crate) fn covariance(off: &Vector3<f64>, known: &Matrix3<f64>) -> Matrix3<f64> {
+pub(in crate::track) fn covariance(off: &Vector3<f64>, known: &Matrix3<f64>) -> Matrix3<f64> {
     let chi2 = chi_square(off, *known).unwrap_or(0.0);
     if chi2 > CHANCE { off * off.transpose() * (1.0 - CHANCE / chi2) } else { Matrix3::zeros() }
 }

@@ -14,7 +14,7 @@ use crate::track::model::tube_shape::SHAPE;
 use nalgebra::{Matrix3, Point2, SMatrix};
 
 /// The estimate of a frame: positions of the markers, and the tangent. Deflections need the base, and come later.
-pub(crate) fn estimate(
+pub(in crate::track) fn estimate(
     rig: &Rig,
     encoding: &Encoding,
     frame: &Frame,

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Where everything was last.
 #[derive(Debug)]
-pub(crate) struct Ways {
+pub(in crate::track) struct Ways {
     markers: Vec<Option<Moved>>,
     tangent: Option<Moved>,
 }
@@ -34,13 +34,13 @@ fn moved(last: &mut Option<Moved>, stamp: Timestamp, to: Vector3<f64>) -> Vector
 
 impl Ways {
     /// Of so many markers.
-    pub(crate) fn new(markers: usize) -> Self {
+    pub(in crate::track) fn new(markers: usize) -> Self {
         Self { markers: vec![None; markers], tangent: None }
     }
 
     /// Adds a frame. `late` is how late a position is shown that moved so many metres, in frames; the tangent is as
     /// late as the coil, or as what rests where the coil has no position.
-    pub(crate) fn widen(&mut self, estimate: &mut Estimate, coil: usize, late: impl Fn(f64) -> f64) {
+    pub(in crate::track) fn widen(&mut self, estimate: &mut Estimate, coil: usize, late: impl Fn(f64) -> f64) {
         let stamp = estimate.stamp;
         let mut of_coil = late(0.0);
         for (m, (marker, last)) in estimate.markers.iter_mut().zip(&mut self.markers).enumerate() {

@@ -45,7 +45,7 @@ const BACK_CHI2: f64 = 1.0;
 
 /// The base band's positions.
 #[derive(Debug, Default)]
-pub(crate) struct Moved {
+pub(in crate::track) struct Moved {
     /// The first, from which all others are counted.
     origin: Option<Origin>,
     /// The first frames, those that are added now, and all.
@@ -145,23 +145,23 @@ impl Sums {
 
 impl Moved {
     /// Whether it has ever moved.
-    pub(crate) fn is_seen(&self) -> bool {
+    pub(in crate::track) fn is_seen(&self) -> bool {
         self.seen
     }
 
     /// Whether it swings with the coil, further than beside a clamp.
-    pub(crate) fn swings(&self) -> bool {
+    pub(in crate::track) fn swings(&self) -> bool {
         self.swinging >= SWINGING
     }
 
     /// Begins anew, because positions change by themselves. A move that was found stays.
-    pub(crate) fn forget(&mut self) {
+    pub(in crate::track) fn forget(&mut self) {
         let off = self.off().filter(|_| self.is_off).map_or_else(Vector3::zeros, |(off, _)| off);
         *self = Self { before: self.before + off, seen: self.seen, ..Self::default() };
     }
 
     /// Adds a position of the base band, with the direction of the coil, if it was seen.
-    pub(crate) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
+    pub(in crate::track) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
         let Position { point, covariance, .. } = *base;
         let first = || Some(Origin { position: point.coords, covariance, direction: *direction? });
         let Some(origin) = self.origin.or_else(first) else { return };
@@ -191,7 +191,7 @@ impl Moved {
     }
 
     /// The covariance of the move, m²; zero if there is none.
-    pub(crate) fn covariance(&mut self) -> Matrix3<f64> {
+    pub(in crate::track) fn covariance(&mut self) -> Matrix3<f64> {
         let (mut off, chi2) = self.off().unwrap_or_default();
         self.is_off = chi2 > if self.is_off { BACK_CHI2 } else { MIN_CHI2 };
         self.seen |= self.is_off;
@@ -209,7 +209,7 @@ impl Moved {
 
     /// How far the last position is from the first, less what the tube bent it as far as that is known, metres, with
     /// the covariance of both; `None` where the coil was not seen.
-    pub(crate) fn since_first(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    pub(in crate::track) fn since_first(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let Sample { direction, position, covariance, .. } = self.latest.back()?;
         let (slope, _) = self.slope(BENT_BESIDE_CLAMP_M)?;
         Some((position - slope.tr_mul(direction.as_ref()?), covariance + self.origin?.covariance))

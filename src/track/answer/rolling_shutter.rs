@@ -27,7 +27,7 @@ const PROBE_M: f64 = 1e-3;
 
 /// What was measured lately.
 #[derive(Debug)]
-pub(crate) struct Rolling {
+pub(in crate::track) struct Rolling {
     /// From one row to the next, seconds; negative if the last row is exposed first.
     row_s: f64,
     rows: f64,
@@ -107,7 +107,7 @@ fn sum_of_squares(weights: [f64; 3]) -> f64 {
 
 impl Rolling {
     /// Of a rig whose camera has a rolling shutter.
-    pub(crate) fn of(rig: &Rig) -> Option<Self> {
+    pub(in crate::track) fn of(rig: &Rig) -> Option<Self> {
         let rows = f64::from(rig.camera.size_px[1]);
         let row_s = rig.camera.readout_s? / rows;
         Some(Self { row_s, rows, positions: vec![Course::default(); rig.markers.len()], direction: Course::default() })
@@ -128,7 +128,7 @@ impl Rolling {
     }
 
     /// Moves an estimate to the moment of its stamp.
-    pub(crate) fn correct(&mut self, rig: &Rig, estimate: &mut Estimate) {
+    pub(in crate::track) fn correct(&mut self, rig: &Rig, estimate: &mut Estimate) {
         let coil = rig.catheter.coil;
         let mut of_coil = None;
         for m in 0..estimate.markers.len() {

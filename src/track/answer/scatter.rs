@@ -30,7 +30,7 @@ const PRIOR_FRAMES: f64 = 1.0;
 
 /// Measurements of one quantity, and their scatter.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Scatter {
+pub(in crate::track) struct Scatter {
     recent: VecDeque<(i64, Vector3<f64>, f64)>,
     sum: f64,
     frames: f64,
@@ -41,7 +41,7 @@ pub(crate) struct Scatter {
 impl Scatter {
     /// Adds a measurement; returns the factor, 1 or more, by which its covariance is too small. Of errors beyond it,
     /// the fraction `persisting` of their variance persists from frame to frame.
-    pub(crate) fn add(
+    pub(in crate::track) fn add(
         &mut self,
         stamp: Timestamp,
         value: Vector3<f64>,
@@ -68,7 +68,7 @@ impl Scatter {
     }
 
     /// Whether it was large for a while: the motion is not smooth, or the frames do not show it evenly.
-    pub(crate) fn is_unsteady(&self) -> bool {
+    pub(in crate::track) fn is_unsteady(&self) -> bool {
         self.large >= FRAMES
     }
 

@@ -37,7 +37,7 @@ const MOVES_CHI2: f64 = 16.0;
 
 /// Recent positions of the base band.
 #[derive(Debug, Default)]
-pub(crate) struct Shake {
+pub(in crate::track) struct Shake {
     recent: VecDeque<Sample>,
     seen: bool,
     rests: bool,
@@ -56,23 +56,23 @@ struct Sample {
 
 impl Shake {
     /// Whether it has ever shaken.
-    pub(crate) fn is_seen(&self) -> bool {
+    pub(in crate::track) fn is_seen(&self) -> bool {
         self.seen
     }
 
     /// Whether the band was seen to rest.
-    pub(crate) fn is_at_rest(&self) -> bool {
+    pub(in crate::track) fn is_at_rest(&self) -> bool {
         self.rests
     }
 
     /// Begins anew.
-    pub(crate) fn forget(&mut self) {
+    pub(in crate::track) fn forget(&mut self) {
         self.recent.clear();
         self.rests = false;
     }
 
     /// Adds a position of the base band, m, with its covariance, and the direction of the coil, if it was seen.
-    pub(crate) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
+    pub(in crate::track) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
         let Position { point, covariance, .. } = *base;
         let is_close = |last: &Sample| (0..MIN_STEP_NS).contains(&(stamp.ns - last.ns));
         if self.recent.back().is_some_and(is_close) {
@@ -86,7 +86,7 @@ impl Shake {
     }
 
     /// The covariance of the shake at a time, m²; zero if there is none.
-    pub(crate) fn at(&mut self, stamp: Timestamp) -> Matrix3<f64> {
+    pub(in crate::track) fn at(&mut self, stamp: Timestamp) -> Matrix3<f64> {
         self.recent.retain(|sample| (0..=WINDOW_NS).contains(&(stamp.ns - sample.ns)));
         let course = Course::of(&self.recent);
         self.rests = course.as_ref().is_some_and(Course::is_at_rest);

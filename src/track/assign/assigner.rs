@@ -53,7 +53,7 @@ const LONGEST_GAP_M: f64 = 0.3;
 
 /// A marker found.
 #[derive(Debug, Clone)]
-pub(crate) struct Assigned {
+pub(in crate::track) struct Assigned {
     /// Triangulated from the blobs' centres, camera frame, metres.
     pub point: Point3<f64>,
     /// The blob in each view, by index.
@@ -62,7 +62,7 @@ pub(crate) struct Assigned {
 
 /// Assignment with memory.
 #[derive(Debug)]
-pub(crate) struct Assigner {
+pub(super) struct Assigner {
     last: Vec<Option<(Point3<f64>, Timestamp)>>,
     /// Where the base band rests, if the rig tells, and whether it was seen there.
     rest: Option<Point3<f64>>,
@@ -75,13 +75,13 @@ struct Candidate {
 }
 
 impl Assigner {
-    pub(crate) fn new(rig: &Rig) -> Self {
+    pub(super) fn new(rig: &Rig) -> Self {
         let rest = rig.resting_base().map(|base| base.base_from_camera.inverse() * Point3::origin());
         Self { last: vec![None; rig.markers.len()], rest, rested: false }
     }
 
     /// Remembers where a marker is.
-    pub(crate) fn remember(&mut self, marker: usize, point: Point3<f64>, stamp: Timestamp) {
+    pub(super) fn remember(&mut self, marker: usize, point: Point3<f64>, stamp: Timestamp) {
         if let Some(last) = self.last.get_mut(marker) {
             *last = Some((point, stamp));
         }
@@ -110,7 +110,7 @@ impl Assigner {
     }
 
     /// Where to search for each marker in each view; `None` when a marker's position is too uncertain.
-    pub(crate) fn windows(&self, rig: &Rig, stamp: Timestamp) -> Option<Vec<Search>> {
+    pub(super) fn windows(&self, rig: &Rig, stamp: Timestamp) -> Option<Vec<Search>> {
         let mut windows = Vec::with_capacity(rig.markers.len() * rig.views.len());
         for (m, marker) in rig.markers.iter().enumerate() {
             let (point, age) = self.recent(m, stamp)?;
@@ -125,7 +125,7 @@ impl Assigner {
     }
 
     /// Chooses one blob per view for every marker, or says why not.
-    pub(crate) fn assign(&self, rig: &Rig, blobs: &[Blob], stamp: Timestamp) -> Vec<Result<Assigned, Miss>> {
+    pub(super) fn assign(&self, rig: &Rig, blobs: &[Blob], stamp: Timestamp) -> Vec<Result<Assigned, Miss>> {
         let mut rejected = vec![None; rig.markers.len()];
         let candidates: Vec<Vec<Candidate>> =
             (0..rig.markers.len()).map(|m| self.candidates(rig, m, blobs, stamp, &mut rejected[m])).collect();
@@ -389,7 +389,7 @@ fn longest(rig: &Rig, p: usize) -> f64 {
 
 /// Direction in space whose image runs along `axes[v]` in each view, up to sign; `None` when the views do not determine
 /// it.
-pub(crate) fn direction_of_axes(
+pub(in crate::track) fn direction_of_axes(
     views: &[(&View, Vector2<f64>)],
     point: &Point3<f64>,
 ) -> Option<nalgebra::Vector3<f64>> {

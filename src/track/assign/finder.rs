@@ -15,7 +15,7 @@ use nalgebra::Point3;
 const RING_PX: u32 = 4;
 
 /// Finds the bands, near to where they were last.
-pub(crate) struct Finder {
+pub(in crate::track) struct Finder {
     segmenter: Segmenter,
     assigner: Assigner,
     /// Whether whole pictures are searched, not windows.
@@ -23,26 +23,26 @@ pub(crate) struct Finder {
 }
 
 /// Blobs of a picture, and which of them each marker is.
-pub(crate) struct Found {
+pub(in crate::track) struct Found {
     pub blobs: Vec<Blob>,
     pub assigned: Vec<Result<Assigned, Miss>>,
 }
 
 impl Found {
     /// Around each band that was found, in each view.
-    pub(crate) fn windows(&self) -> Vec<Window> {
+    pub(in crate::track) fn windows(&self) -> Vec<Window> {
         (0..self.assigned.len()).flat_map(|marker| self.windows_of(marker)).collect()
     }
 
     /// Around one marker's band, if it was found, in each view that shows it.
-    pub(crate) fn windows_of(&self, marker: usize) -> impl Iterator<Item = Window> {
+    pub(in crate::track) fn windows_of(&self, marker: usize) -> impl Iterator<Item = Window> {
         let blobs =
             self.assigned.get(marker).into_iter().flatten().flat_map(|assigned| assigned.blobs.iter().flatten());
         blobs.map(|blob| self.blobs[*blob].bounds)
     }
 
     /// Whether all markers are there.
-    pub(crate) fn is_complete(&self) -> bool {
+    pub(in crate::track) fn is_complete(&self) -> bool {
         self.assigned.iter().all(Result::is_ok)
     }
 }
@@ -50,7 +50,7 @@ impl Found {
 impl Finder {
     /// # Errors
     /// When a marker has no colour model.
-    pub(crate) fn new(rig: &Rig, full_frame: bool) -> Result<Self, SegmentError> {
+    pub(in crate::track) fn new(rig: &Rig, full_frame: bool) -> Result<Self, SegmentError> {
         Ok(Self { segmenter: Segmenter::for_rig(rig)?, assigner: Assigner::new(rig), full_frame })
     }
 
@@ -58,7 +58,7 @@ impl Finder {
     ///
     /// # Errors
     /// When the picture cannot be segmented, or too little of it was recorded.
-    pub(crate) fn find(&mut self, rig: &Rig, frame: &Frame) -> Result<Found, SegmentError> {
+    pub(in crate::track) fn find(&mut self, rig: &Rig, frame: &Frame) -> Result<Found, SegmentError> {
         match self.find_in_picture(rig, frame) {
             Err(SegmentError::NotRecorded(why)) => self.find_in_parts(rig, frame, why),
             found => found,
@@ -87,14 +87,14 @@ impl Finder {
     }
 
     /// The same without any memory; `None` when the picture cannot be segmented.
-    pub(crate) fn find_alone(&mut self, rig: &Rig, frame: &Frame) -> Option<Found> {
+    pub(in crate::track) fn find_alone(&mut self, rig: &Rig, frame: &Frame) -> Option<Found> {
         let blobs = self.segmenter.all_blobs(&frame.picture).ok()?.to_vec();
         let assigned = Assigner::new(rig).assign(rig, &blobs, frame.stamp);
         Some(Found { blobs, assigned })
     }
 
     /// Remembers where a marker is.
-    pub(crate) fn remember(&mut self, marker: usize, at: Point3<f64>, stamp: Timestamp) {
+    pub(in crate::track) fn remember(&mut self, marker: usize, at: Point3<f64>, stamp: Timestamp) {
         self.assigner.remember(marker, at, stamp);
     }
 

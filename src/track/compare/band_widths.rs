@@ -29,7 +29,7 @@ const HELD_SD: f64 = 2.0;
 
 /// The half width of a band in a view, beyond that of the tube.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Width {
+pub(in crate::track) struct Width {
     pub beyond_px: f64,
     /// Its standard deviation, if the noise were independent.
     pub sd_px: f64,
@@ -37,7 +37,7 @@ pub(crate) struct Width {
 
 /// Sums over the samples of a span.
 #[derive(Clone, Default)]
-pub(crate) struct Sum {
+pub(super) struct Sum {
     /// Σ w x t ∂.
     pub rows: Row,
     /// Σ w x² t² and Σ w x t r.
@@ -46,7 +46,7 @@ pub(crate) struct Sum {
 }
 
 /// The width of each band of a stretch, from the sums of the spans.
-pub(crate) fn widths(spans: &[Span], sums: &[Sum], layout: &Layout, view: &Eliminated) -> Vec<Width> {
+pub(super) fn widths(spans: &[Span], sums: &[Sum], layout: &Layout, view: &Eliminated) -> Vec<Width> {
     let of_band = |band: usize| {
         let (mut colours, mut information, mut pull) = (DVector::zeros(layout.colours()), 0.0, 0.0);
         for (span, sum) in spans.iter().zip(sums).filter(|(span, _)| span.ring / 2 == band) {
@@ -61,7 +61,7 @@ pub(crate) fn widths(spans: &[Span], sums: &[Sum], layout: &Layout, view: &Elimi
 }
 
 /// The usual width of each marker in each view, beyond that of the tube.
-pub(crate) struct UsualWidths {
+pub(in crate::track) struct UsualWidths {
     levels: ByBand<Level>,
 }
 
@@ -76,20 +76,20 @@ struct Level {
 }
 
 impl UsualWidths {
-    pub(crate) fn new(rig: &Rig) -> Self {
+    pub(in crate::track) fn new(rig: &Rig) -> Self {
         let level = |_, _| Level { mean_px: 0.0, variance_px2: None, scatter: 1.0 };
         Self { levels: ByBand::new(rig, level) }
     }
 
     /// By how many standard deviations a width differs from the usual one, where the tube's half width is `half_px`.
-    pub(crate) fn unusual_sd(&self, marker: usize, view: usize, width: &Width, half_px: f64) -> f64 {
+    pub(in crate::track) fn unusual_sd(&self, marker: usize, view: usize, width: &Width, half_px: f64) -> f64 {
         let level = self.levels.get(marker, view);
         let departure = level.and_then(|level| level.departure(width, half_px));
         departure.zip(level).map_or(0.0, |((off, sd), level)| off.abs() / (sd * level.scatter.sqrt()))
     }
 
     /// Adds the width of an accepted fit.
-    pub(crate) fn add(&mut self, marker: usize, view: usize, width: &Width, half_px: f64) {
+    pub(in crate::track) fn add(&mut self, marker: usize, view: usize, width: &Width, half_px: f64) {
         let Some(level) = self.levels.get_mut(marker, view) else { return };
         let Some((off, sd)) = level.departure(width, half_px) else { return };
         let own = width.sd_px.powi(2);

@@ -28,7 +28,7 @@ use nalgebra::{Matrix2, SMatrix, Vector2};
 
 /// The slips of one view's bands.
 #[derive(Default)]
-pub(crate) struct Slips {
+pub(in crate::track) struct Slips {
     bands: Vec<[Slip; 2]>,
     /// For each span, sums not mapped yet: the band, and the rows in both directions.
     waiting: Vec<Option<(usize, [[f32; ROW]; 2])>>,
@@ -53,7 +53,7 @@ struct Slip {
 
 /// Squares of observed slips, and their effective number.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct Seen {
+pub(in crate::track) struct Seen {
     /// Σ δ'² less their noise, Σ (1 − h) δ' and Σ (1 − h)², in the picture's axes.
     pub squares_px2: f64,
     pub sum_px: Vector2<f64>,
@@ -75,13 +75,13 @@ const MAX_PX: f64 = 1.0;
 
 impl Seen {
     /// Variance of a slip about this mean, px².
-    pub(crate) fn variance_px2(&self, mean_px: &Vector2<f64>) -> f64 {
+    pub(in crate::track) fn variance_px2(&self, mean_px: &Vector2<f64>) -> f64 {
         let squares_px2 = self.squares_px2 + mean_px.dot(&(self.count * mean_px - self.sum_px * 2.0));
         let count = self.count.trace();
         if count > 0.0 { (squares_px2 / count).max(0.0) } else { 0.0 }
     }
 
-    pub(crate) fn add(&mut self, other: &Self) {
+    pub(in crate::track) fn add(&mut self, other: &Self) {
         self.squares_px2 += other.squares_px2;
         self.sum_px += other.sum_px;
         self.count += other.count;
@@ -90,7 +90,7 @@ impl Seen {
     }
 
     /// The same, measured with an offset that already contains this much of the slip.
-    pub(crate) fn beyond(&self, offset_px: &Vector2<f64>) -> Self {
+    pub(in crate::track) fn beyond(&self, offset_px: &Vector2<f64>) -> Self {
         let of_count = self.count * offset_px;
         Self {
             squares_px2: self.squares_px2 + offset_px.dot(&(self.sum_px * 2.0 + of_count)),
@@ -101,26 +101,26 @@ impl Seen {
     }
 
     /// The mean slip, pixels.
-    pub(crate) fn mean_px(&self) -> Vector2<f64> {
+    pub(in crate::track) fn mean_px(&self) -> Vector2<f64> {
         let information = self.information + Matrix2::identity() / PRIOR_SD_PX.powi(2);
         let mean = information.cholesky().map_or_else(Vector2::zeros, |factor| factor.solve(&self.pull));
         mean.map(|px| px.clamp(-MAX_PX, MAX_PX))
     }
 
     /// That which pictures of a format are fitted with: where each pixel has its own chroma, little is none.
-    pub(crate) fn mean_px_in(&self, format: PixelFormat) -> Vector2<f64> {
+    pub(in crate::track) fn mean_px_in(&self, format: PixelFormat) -> Vector2<f64> {
         let mean_px = self.mean_px();
         if format.has_chroma_per_pixel() && mean_px.norm() < LEAST_PX { Vector2::zeros() } else { mean_px }
     }
 
     /// The same with less weight on its squares; the mean remains that of the whole run.
-    pub(crate) fn faded(&self, by: f64) -> Self {
+    pub(in crate::track) fn faded(&self, by: f64) -> Self {
         Self { squares_px2: self.squares_px2 * by, sum_px: self.sum_px * by, count: self.count * by, ..*self }
     }
 }
 
 impl Slips {
-    pub(crate) fn new(layout: &Layout, spans: usize) -> Self {
+    pub(super) fn new(layout: &Layout, spans: usize) -> Self {
         Self {
             bands: vec![<[Slip; 2]>::default(); layout.bands()],
             waiting: vec![None; spans],
@@ -132,13 +132,13 @@ impl Slips {
     }
 
     /// What was seen, with noise of so many times the variance of its samples.
-    pub(crate) fn seen(&self, noise: f64) -> Seen {
+    pub(in crate::track) fn seen(&self, noise: f64) -> Seen {
         Seen { squares_px2: self.seen.squares_px2 - (noise - 1.0) * self.noise_px2, ..self.seen }
     }
 
     /// Adds a sample of a span that is nearest to `ring`; `slipping` are the derivatives of its chroma alone.
     #[inline(always)]
-    pub(crate) fn add(
+    pub(super) fn add(
         &mut self,
         (span, ring): (usize, usize),
         (row, slipping, sight): (&Row, &Row, Sight),
@@ -155,7 +155,7 @@ impl Slips {
     }
 
     /// Maps the sums of a span to the shape.
-    pub(crate) fn map(&mut self, span: usize, map: &[Padded; ROW]) {
+    pub(super) fn map(&mut self, span: usize, map: &[Padded; ROW]) {
         let Some((band, rows)) = self.waiting[span].take() else { return };
         for (slip, row) in self.bands[band].iter_mut().zip(rows) {
             slip.response += weighted(map, row.map(f64::from));
@@ -163,7 +163,7 @@ impl Slips {
     }
 
     /// Computes the totals.
-    pub(crate) fn finish(&mut self, image: &TubeImage, layout: &Layout) {
+    pub(super) fn finish(&mut self, image: &TubeImage, layout: &Layout) {
         for (band, rings) in self.bands.iter().zip(layout.rings_m.chunks(2)) {
             let middle = image.at_arc(rings.iter().sum::<f64>() / rings.len() as f64);
             for ((slip, moves), direction) in band.iter().zip(&middle.d_local).zip(middle.axes()) {

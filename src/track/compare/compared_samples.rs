@@ -8,7 +8,7 @@ use std::ops::Range;
 
 /// The samples of a channel compared with the model.
 #[derive(Default)]
-pub(crate) struct Compared {
+pub(in crate::track) struct Compared {
     /// Predicted at each pixel.
     pub predicted: Vec<f32>,
     /// Stored minus predicted, in the order of the layer's points.
@@ -17,7 +17,7 @@ pub(crate) struct Compared {
 }
 
 /// Some points of a strip, and what the model says of one of their channels.
-pub(crate) struct Part<'a> {
+pub(in crate::track) struct Part<'a> {
     pub span: usize,
     /// The ring nearest to them.
     pub ring: usize,
@@ -43,7 +43,7 @@ pub(crate) struct Part<'a> {
 
 impl Part<'_> {
     /// Residuals and weights, padded with weights of zero.
-    pub(crate) fn padded(&self) -> [[f32; CHUNK]; 2] {
+    pub(super) fn padded(&self) -> [[f32; CHUNK]; 2] {
         let mut padded = [[0.0; CHUNK]; 2];
         for (to, from) in padded.iter_mut().zip([&self.compared.residuals, &self.compared.weights]) {
             to[..self.points.len()].copy_from_slice(&from[self.points.clone()]);
@@ -52,7 +52,7 @@ impl Part<'_> {
     }
 
     /// Each point's row, residual, weight and cell.
-    pub(crate) fn samples(&self) -> impl Iterator<Item = (&Row, f32, f32, u32)> {
+    pub(in crate::track) fn samples(&self) -> impl Iterator<Item = (&Row, f32, f32, u32)> {
         let Compared { residuals, weights, .. } = self.compared;
         let here = self.points.clone();
         let values = residuals[here.clone()].iter().zip(&weights[here.clone()]).zip(&self.cells[here]);

@@ -25,7 +25,7 @@ use std::sync::{Mutex, PoisonError};
 const HUBER: f32 = 3.5;
 
 /// Standard deviation of a sample, per channel: near the tube, and in the background.
-pub(crate) type Noise = [[f64; 2]; 3];
+pub(in crate::track) type Noise = [[f64; 2]; 3];
 
 /// Some points of a layer that are evaluated together.
 #[derive(Default)]
@@ -123,7 +123,7 @@ struct Weighed {
 }
 
 /// A patch compared with the model.
-pub(crate) struct Comparison {
+pub(in crate::track) struct Comparison {
     memory: Memory,
     /// Whether the memory has the scores of the last equations.
     scored: bool,
@@ -147,7 +147,7 @@ impl Comparison {
     ///
     /// # Errors
     /// As [`Patch::select`].
-    pub(crate) fn select(
+    pub(in crate::track) fn select(
         picture: &Picture,
         model: &ImageModel,
         shown: &Shown<'_>,
@@ -162,12 +162,12 @@ impl Comparison {
     }
 
     /// What is compared.
-    pub(crate) fn patch(&self) -> &Patch {
+    pub(in crate::track) fn patch(&self) -> &Patch {
         &self.memory.patch
     }
 
     /// Evaluates the model at all pixels, and compares it with all samples.
-    pub(crate) fn render(&mut self, scene: &Scene<'_>) {
+    pub(in crate::track) fn render(&mut self, scene: &Scene<'_>) {
         let Memory { patch, bunches, channels, .. } = &mut self.memory;
         let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
@@ -238,12 +238,12 @@ impl Comparison {
 
     /// Sums of squares of the residuals; outliers, judged by `noise`, must not raise the noise by which they are
     /// judged.
-    pub(crate) fn squares(&mut self, noise: &Noise) -> Squares {
+    pub(in crate::track) fn squares(&mut self, noise: &Noise) -> Squares {
         self.weigh(noise).squares
     }
 
     /// Forms the derivatives of all samples, of the model as it was rendered.
-    pub(crate) fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
+    pub(in crate::track) fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
         let Memory { patch, bunches, channels, sums, rows, .. } = &mut self.memory;
         let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
@@ -288,7 +288,7 @@ impl Comparison {
     }
 
     /// Normal equations of the model as it was rendered.
-    pub(crate) fn normal(&mut self, scene: &Scene<'_>, noise: &Noise) -> Normal {
+    pub(in crate::track) fn normal(&mut self, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
         self.scored = false;
         self.derive(scene, |sums, part| {
@@ -301,7 +301,7 @@ impl Comparison {
     }
 
     /// The equations of `before` with the gradient of the model as it was rendered.
-    pub(crate) fn gradient(&mut self, before: &Normal, scene: &Scene<'_>, noise: &Noise) -> Normal {
+    pub(in crate::track) fn gradient(&mut self, before: &Normal, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
         self.score(scene);
         let Memory { patch: Patch { spans, cells, .. }, scores, .. } = &self.memory;
@@ -323,7 +323,7 @@ impl Comparison {
     }
 
     /// Scatter of the residuals ([`Scores::scatter`]). Most gradients are the last of their fit, and have the sums.
-    pub(crate) fn scatter(
+    pub(in crate::track) fn scatter(
         &mut self,
         scene: &Scene<'_>,
         plain: &SMatrix<f64, SHAPE, SHAPE>,
@@ -339,7 +339,7 @@ impl Comparison {
     }
 
     /// Differences between the residuals of neighbouring pixels in a row of the background, in the first channel.
-    pub(crate) fn differences(&self) -> Differences {
+    pub(in crate::track) fn differences(&self) -> Differences {
         let mut differences = Differences::default();
         let Layer { x, y, .. } = &self.memory.patch.pixels;
         let residuals = self.memory.channels.first().map_or(&[][..], |compared| &compared.residuals);

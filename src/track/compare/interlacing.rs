@@ -22,7 +22,7 @@ const MAJORITY: i32 = 6;
 
 /// By how much the even rows of a picture show the tube further across: sums over the samples of a view.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct RowShift {
+pub(in crate::track) struct RowShift {
     /// Σ ±w r t and Σ w t²: weights, residuals, changes for a shift of one pixel across the tube.
     pull: f64,
     information: f64,
@@ -30,7 +30,7 @@ pub(crate) struct RowShift {
 
 impl RowShift {
     /// Adds samples: Σ ±w r t, even rows with +, and Σ w t².
-    pub(crate) fn add(&mut self, pull: f32, information: f32) {
+    pub(super) fn add(&mut self, pull: f32, information: f32) {
         self.pull += f64::from(pull);
         self.information += f64::from(information);
     }
@@ -38,14 +38,14 @@ impl RowShift {
 
 /// The votes so far.
 #[derive(Debug, Default)]
-pub(crate) struct Fields {
+pub(in crate::track) struct Fields {
     /// For even rows that are ahead over those that are behind.
     ahead: i32,
 }
 
 impl Fields {
     /// Adds a view of a frame: its shift, and how far its tube has moved across itself since the last one, pixels.
-    pub(crate) fn add(&mut self, shift: &RowShift, across_px: f64) {
+    pub(in crate::track) fn add(&mut self, shift: &RowShift, across_px: f64) {
         if !MOTION_PX.contains(&across_px.abs()) || shift.information <= 0.0 {
             return;
         }
@@ -59,7 +59,7 @@ impl Fields {
     }
 
     /// Whether two moments are woven together.
-    pub(crate) fn are_woven(&self) -> bool {
+    pub(in crate::track) fn are_woven(&self) -> bool {
         self.ahead.abs() >= MAJORITY
     }
 }

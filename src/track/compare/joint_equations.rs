@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 /// The sums over all views, priors included.
 #[derive(Debug, Clone)]
-pub(crate) struct Equations {
+pub(in crate::track) struct Equations {
     /// Information of the shape's prior, and its gradient.
     pub prior: SMatrix<f64, SHAPE, SHAPE>,
     pub prior_gradient: ShapeStep,
@@ -26,7 +26,7 @@ pub(crate) struct Equations {
 
 /// A step of all parameters.
 #[derive(Debug, Clone)]
-pub(crate) struct Step {
+pub(in crate::track) struct Step {
     pub shape: ShapeStep,
     pub colours: Vec<DVector<f64>>,
     /// Predicted decrease of the cost, if the model were linear.
@@ -35,7 +35,7 @@ pub(crate) struct Step {
 
 /// A view with its colours eliminated.
 #[derive(Debug)]
-pub(crate) struct Eliminated {
+pub(in crate::track) struct Eliminated {
     /// The view's information about the shape.
     pub shape: SMatrix<f64, SHAPE, SHAPE>,
     /// Y, by rows.
@@ -47,7 +47,7 @@ pub(crate) struct Eliminated {
 
 impl Hessian {
     /// Eliminates the colours, with the diagonals first increased by the fraction `damping`; `None` when singular.
-    pub(crate) fn eliminate(&self, damping: f64) -> Option<Eliminated> {
+    pub(in crate::track) fn eliminate(&self, damping: f64) -> Option<Eliminated> {
         let colours = damped(self.colours.clone(), damping).cholesky()?;
         let mut half = self.cross.clone();
         solve_lower(colours.l_dirty(), &mut half);
@@ -58,19 +58,19 @@ impl Hessian {
 
 impl Eliminated {
     /// X C⁻¹: its transpose gives how the colours follow the shape.
-    pub(crate) fn following(&self) -> ShapeBy {
+    pub(super) fn following(&self) -> ShapeBy {
         let mut rows = self.half.clone();
         solve_upper(self.colours.l_dirty(), &mut rows);
         ShapeBy::from_columns(&rows.iter().map(unpadded).collect::<Vec<_>>())
     }
 
     /// cᵀ C⁻¹ c.
-    pub(crate) fn explained(&self, of_colours: &DVector<f64>) -> f64 {
+    pub(super) fn explained(&self, of_colours: &DVector<f64>) -> f64 {
         self.colours.l_dirty().solve_lower_triangular(of_colours).map_or(f64::INFINITY, |half| half.norm_squared())
     }
 
     /// L⁻¹ c, and X C⁻¹ c.
-    pub(crate) fn halved(&self, gradient: &DVector<f64>) -> Option<(DVector<f64>, ShapeStep)> {
+    pub(in crate::track) fn halved(&self, gradient: &DVector<f64>) -> Option<(DVector<f64>, ShapeStep)> {
         let halved = self.colours.l_dirty().solve_lower_triangular(gradient)?;
         let shape = weighted(&self.half, halved.iter().copied());
         Some((halved, shape))
@@ -85,7 +85,7 @@ impl Eliminated {
 
 impl Normal {
     /// The shape's gradient after a step, in which it is linear.
-    pub(crate) fn shape_gradient_after(&self, shape: &ShapeStep, colours: &DVector<f64>) -> ShapeStep {
+    pub(in crate::track) fn shape_gradient_after(&self, shape: &ShapeStep, colours: &DVector<f64>) -> ShapeStep {
         let of_colours = weighted(&self.hessian.cross, colours.iter().copied());
         self.shape_gradient - self.hessian.shape * shape - of_colours
     }
@@ -101,11 +101,11 @@ impl Normal {
 }
 
 /// A matrix and its elimination.
-pub(crate) type Known = (Arc<Hessian>, Arc<Eliminated>);
+pub(super) type Known = (Arc<Hessian>, Arc<Eliminated>);
 
 impl Equations {
     /// Levenberg's step; `None` when the equations are singular. `known` are the views' last eliminations.
-    pub(crate) fn step(&self, damping: f64, known: &mut Vec<Known>) -> Option<Step> {
+    pub(in crate::track) fn step(&self, damping: f64, known: &mut Vec<Known>) -> Option<Step> {
         let mut shape = damped(self.prior, damping);
         let mut gradient = self.prior_gradient;
         let eliminated = |(i, view): (usize, &Normal)| view.eliminated(damping, known.get(i));

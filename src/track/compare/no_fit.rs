@@ -2,7 +2,7 @@
 
 /// Why there is no fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum NoFit {
+pub(in crate::track) enum NoFit {
     /// The stretch is not, or not sufficiently, inside a view's picture.
     OutOfPicture,
     /// The equations are singular, or the iteration does not converge.

@@ -7,36 +7,36 @@ use crate::track::model::tube_shape::{SHAPE, ShapeStep};
 use multiversion::multiversion;
 use nalgebra::{DMatrix, SMatrix};
 
-pub(crate) const PADDED: usize = SHAPE.next_multiple_of(8);
+pub(super) const PADDED: usize = SHAPE.next_multiple_of(8);
 
 /// Shape parameters, followed by zeros.
-pub(crate) type Padded = [f64; PADDED];
+pub(super) type Padded = [f64; PADDED];
 
 /// A symmetric matrix of the shape, by columns.
-pub(crate) type PaddedSquare = [Padded; SHAPE];
+pub(super) type PaddedSquare = [Padded; SHAPE];
 
-pub(crate) fn padded(of: &[f64]) -> Padded {
+pub(super) fn padded(of: &[f64]) -> Padded {
     let mut padded = [0.0; PADDED];
     padded.iter_mut().zip(of).for_each(|(to, from)| *to = *from);
     padded
 }
 
-pub(crate) fn unpadded(padded: &Padded) -> ShapeStep {
+pub(super) fn unpadded(padded: &Padded) -> ShapeStep {
     ShapeStep::from_column_slice(&padded[..SHAPE])
 }
 
-pub(crate) fn unpadded_square(columns: &PaddedSquare) -> SMatrix<f64, SHAPE, SHAPE> {
+pub(in crate::track) fn unpadded_square(columns: &PaddedSquare) -> SMatrix<f64, SHAPE, SHAPE> {
     SMatrix::from_columns(&columns.map(|column| unpadded(&column)))
 }
 
 /// The sum of the rows, each times its number.
-pub(crate) fn weighted<'a>(rows: impl IntoIterator<Item = &'a Padded>, by: impl IntoIterator<Item = f64>) -> ShapeStep {
+pub(super) fn weighted<'a>(rows: impl IntoIterator<Item = &'a Padded>, by: impl IntoIterator<Item = f64>) -> ShapeStep {
     rows.into_iter().zip(by).map(|(row, by)| unpadded(row) * by).sum()
 }
 
 /// The sum of the rows' products with themselves, r rᵀ.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-pub(crate) fn products(rows: &[Padded]) -> PaddedSquare {
+pub(super) fn products(rows: &[Padded]) -> PaddedSquare {
     const TOGETHER: usize = 4;
     let mut sum = [[0.0; PADDED]; SHAPE];
     for (k, columns) in sum.chunks_mut(TOGETHER).enumerate() {
@@ -57,7 +57,7 @@ pub(crate) fn products(rows: &[Padded]) -> PaddedSquare {
 
 /// Solves L X = `rows`, in place.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-pub(crate) fn solve_lower(l: &DMatrix<f64>, rows: &mut [Padded]) {
+pub(super) fn solve_lower(l: &DMatrix<f64>, rows: &mut [Padded]) {
     for (k, factors) in l.as_slice().chunks_exact(l.nrows()).enumerate() {
         let Some((own, below)) = rows.get_mut(k..).and_then(<[_]>::split_first_mut) else { return };
         let per = 1.0 / factors[k];
@@ -74,7 +74,7 @@ pub(crate) fn solve_lower(l: &DMatrix<f64>, rows: &mut [Padded]) {
 
 /// Solves Lᵀ X = `rows`, in place.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-pub(crate) fn solve_upper(l: &DMatrix<f64>, rows: &mut [Padded]) {
+pub(super) fn solve_upper(l: &DMatrix<f64>, rows: &mut [Padded]) {
     for (k, factors) in l.as_slice().chunks_exact(l.nrows()).enumerate().rev() {
         let Some((own, below)) = rows.get_mut(k..).and_then(<[_]>::split_first_mut) else { return };
         for (row, factor) in below.iter().zip(&factors[k + 1..]) {

@@ -27,7 +27,7 @@ const CELL_PX: usize = 4;
 const NEAR_PX: f32 = 1.0;
 
 /// Points that lie between the same two knots, next to the same ring.
-pub(crate) struct Strip {
+pub(in crate::track) struct Strip {
     /// Index of its span.
     pub span: usize,
     pub points: Range<usize>,
@@ -36,7 +36,7 @@ pub(crate) struct Strip {
 /// Points at which the same channels are stored: pixels with Y or R, G and B; samples of U and V. Ordered by strips,
 /// and within each by what they see of the tube.
 #[derive(Default)]
-pub(crate) struct Layer {
+pub(in crate::track) struct Layer {
     pub channels: Vec<Channel>,
     /// Stored values of each channel.
     pub stored: Vec<Vec<f32>>,
@@ -152,17 +152,17 @@ impl Layer {
     }
 
     /// Whether each pixel has its own sample.
-    pub(crate) fn is_whole(&self) -> bool {
+    pub(super) fn is_whole(&self) -> bool {
         self.spread_px2 == Vector2::zeros()
     }
 
     /// For each point, whether it is near the tube.
-    pub(crate) fn near(&self) -> impl Iterator<Item = bool> {
+    pub(super) fn near(&self) -> impl Iterator<Item = bool> {
         self.outside.iter().map(|outside| *outside <= NEAR_PX)
     }
 
     /// How many of its points are near the tube, and how many are not: those at which R, G or B was seen.
-    pub(crate) fn counts(&self) -> [[usize; 2]; 3] {
+    pub(super) fn counts(&self) -> [[usize; 2]; 3] {
         let mut counts = [[0; 2]; 3];
         if self.seen.is_empty() {
             let near = self.near().filter(|near| *near).count();
@@ -175,7 +175,7 @@ impl Layer {
     }
 
     /// The neighbourhoods of subsampled points: pixels and weights.
-    pub(crate) fn neighbourhoods(&self) -> impl Iterator<Item = &[(u32, f32)]> {
+    pub(super) fn neighbourhoods(&self) -> impl Iterator<Item = &[(u32, f32)]> {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
         starts.zip(&self.ends).map(|(start, end)| &self.taps[start as usize..*end as usize])
     }
@@ -188,7 +188,7 @@ fn refill<T>(list: &mut Vec<T>, with: impl Iterator<Item = T>) {
 }
 
 /// A stretch of tube in a view: its image, and between which arc lengths it is shown.
-pub(crate) struct Shown<'a> {
+pub(in crate::track) struct Shown<'a> {
     pub image: &'a TubeImage,
     pub layout: &'a Layout,
     pub range_m: (f64, f64),
@@ -205,7 +205,7 @@ struct Selected<'a> {
 
 /// The part of a view's picture around a stretch of tube. Its memory is used again for other ones.
 #[derive(Default)]
-pub(crate) struct Patch {
+pub(in crate::track) struct Patch {
     pub middle: Vector2<f64>,
     pub spans: Vec<Span>,
     /// All pixels; without channels if all are subsampled.
@@ -269,7 +269,7 @@ fn neighbourhoods(plane: &Plane<'_>, model: &ImageModel, density: Density, field
 
 impl Patch {
     /// The pixels, then the samples of subsampled channels.
-    pub(crate) fn layers(&self) -> impl Iterator<Item = &Layer> {
+    pub(super) fn layers(&self) -> impl Iterator<Item = &Layer> {
         [&self.pixels].into_iter().chain(&self.samples)
     }
 
@@ -277,7 +277,7 @@ impl Patch {
     ///
     /// # Errors
     /// When no part of it lies in the picture, or not all of it was recorded.
-    pub(crate) fn select(
+    pub(super) fn select(
         &mut self,
         picture: &Picture,
         model: &ImageModel,
@@ -358,7 +358,7 @@ impl Patch {
     }
 
     /// Initial colours: means over pixels well inside each segment, and well outside the tube.
-    pub(crate) fn colours(
+    pub(in crate::track) fn colours(
         &self,
         picture: &Picture,
         image: &TubeImage,

@@ -20,7 +20,7 @@ const SLACK_PX: f64 = 1.0;
 
 /// Which pixels are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Density {
+pub(in crate::track) enum Density {
     /// Every fifth, a knight's move apart: a fifth of the work, spread over all rows and columns.
     Fifth,
     /// All but those deep inside a wide tube, of which every fifth.
@@ -29,7 +29,7 @@ pub(crate) enum Density {
 
 impl Density {
     /// Pixels per pixel used.
-    pub(crate) fn period(self) -> i64 {
+    pub(super) fn period(self) -> i64 {
         match self {
             Self::Fifth => 5,
             Self::All => 1,
@@ -37,7 +37,7 @@ impl Density {
     }
 
     /// Phase of a pixel in the pattern: 0 for those used.
-    pub(crate) fn phase(self, x: i64, y: i64) -> usize {
+    pub(super) fn phase(self, x: i64, y: i64) -> usize {
         (x + 2 * y).rem_euclid(self.period()) as usize
     }
 
@@ -49,7 +49,7 @@ impl Density {
 
 /// The bounding rectangle of a patch, and which of its pixels are used.
 #[derive(Default)]
-pub(crate) struct Field {
+pub(super) struct Field {
     /// Picture coordinates of its first pixel.
     pub corner: [i64; 2],
     pub width: usize,
@@ -64,12 +64,12 @@ pub(crate) struct Field {
 /// Around a field: as far as a sample's neighbourhood reaches.
 const BORDER: usize = 8;
 /// No pixel.
-pub(crate) const NONE: u32 = u32::MAX;
+pub(super) const NONE: u32 = u32::MAX;
 
 impl Field {
     /// Takes the field around the knots of `image` between the knot coordinates `first` and `last`, still without
     /// pixels in use; returns its middle, or `None` when no part of it lies in the picture.
-    pub(crate) fn surround(
+    pub(super) fn surround(
         &mut self,
         image: &TubeImage,
         (first, last): (f64, f64),
@@ -99,31 +99,31 @@ impl Field {
     }
 
     /// Its pixels.
-    pub(crate) fn window(&self) -> Window {
+    pub(super) fn window(&self) -> Window {
         // Was clipped to the picture.
         let [x0, y0] = self.corner.map(|v| v as u32);
         Window { x0, y0, x1: x0 + self.width as u32, y1: y0 + self.height as u32 }
     }
 
     /// Picture coordinates of a place.
-    pub(crate) fn pixel(&self, place: &Place) -> [i64; 2] {
+    pub(super) fn pixel(&self, place: &Place) -> [i64; 2] {
         let [column, row] = place.at.map(i64::from);
         [self.corner[0] + column, self.corner[1] + row]
     }
 
     /// Where the index of a place is kept.
-    pub(crate) fn index_of(&self, place: &Place) -> usize {
+    pub(super) fn index_of(&self, place: &Place) -> usize {
         let [column, row] = place.at.map(|v| v as usize);
         (row + BORDER) * self.stride + column + BORDER
     }
 
     /// How far apart the indices of two positions are kept.
-    pub(crate) fn distance(&self, from: [i64; 2], to: [i64; 2]) -> isize {
+    pub(super) fn distance(&self, from: [i64; 2], to: [i64; 2]) -> isize {
         ((to[1] - from[1]) * self.stride as i64 + to[0] - from[0]) as isize
     }
 
     /// Numbers the places in their order.
-    pub(crate) fn number(&mut self, places: &[Place]) {
+    pub(super) fn number(&mut self, places: &[Place]) {
         for (i, place) in (0..).zip(places) {
             let at = self.index_of(place);
             self.index[at] = i;
@@ -131,14 +131,14 @@ impl Field {
     }
 
     /// Index of the used pixel that is kept so far behind another, or [`NONE`].
-    pub(crate) fn used(&self, from: usize, by: isize) -> u32 {
+    pub(super) fn used(&self, from: usize, by: isize) -> u32 {
         self.index.get(from.wrapping_add_signed(by)).copied().unwrap_or(NONE)
     }
 }
 
 /// A pixel that is used.
 #[derive(Clone, Copy)]
-pub(crate) struct Place {
+pub(super) struct Place {
     /// Column and row in the field.
     pub at: [u32; 2],
     /// Index of its span.
@@ -151,7 +151,7 @@ pub(crate) struct Place {
 
 /// The pixels that are used. Their memory is used again.
 #[derive(Default)]
-pub(crate) struct Places {
+pub(super) struct Places {
     pub list: Vec<Place>,
     found: Found,
     /// Where each group ends.
@@ -159,7 +159,7 @@ pub(crate) struct Places {
 }
 
 /// The spans of a tube's image.
-pub(crate) struct Spans<'a> {
+pub(super) struct Spans<'a> {
     image: &'a TubeImage,
     layout: &'a Layout,
     /// Along the tube.
@@ -172,7 +172,7 @@ pub(crate) struct Spans<'a> {
 const SIGHTS: usize = 4;
 
 impl<'a> Spans<'a> {
-    pub(crate) fn new(image: &'a TubeImage, layout: &'a Layout) -> Self {
+    pub(super) fn new(image: &'a TubeImage, layout: &'a Layout) -> Self {
         let mut list = Vec::with_capacity(image.knots.len() + layout.rings_m.len());
         let behind = image.knots.windows(2).enumerate().map(|(knot, pair)| {
             let first = list.len();
@@ -186,7 +186,7 @@ impl<'a> Spans<'a> {
 
     /// Takes the pixels of a field within the margin of the tube between two knot coordinates: by spans, then by what
     /// they see, within each in the order of the picture.
-    pub(crate) fn find(&self, field: &Field, range: (f64, f64), density: Density, places: &mut Places) {
+    pub(super) fn find(&self, field: &Field, range: (f64, f64), density: Density, places: &mut Places) {
         let Places { list: places, found, ends } = places;
         places.clear();
         let last = (range.1.ceil() as usize).min(self.behind.len());

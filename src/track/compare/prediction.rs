@@ -22,7 +22,7 @@ use wide::f32x4;
 const FAR_SIGMAS: f32 = 4.5;
 
 /// Everything that a view's pixels are predicted from.
-pub(crate) struct Scene<'a> {
+pub(in crate::track) struct Scene<'a> {
     pub image: &'a TubeImage,
     /// Angles by which the tube has turned at each knot, radians.
     pub turns: &'a [Vector2<f64>],
@@ -33,7 +33,7 @@ pub(crate) struct Scene<'a> {
 }
 
 /// Values common to all points of a view.
-pub(crate) struct Light<'a> {
+pub(in crate::track) struct Light<'a> {
     background: [f32; 3],
     gradient: [f32; 2],
     shades: [f32; HARMONICS],
@@ -53,7 +53,7 @@ fn at([value, change]: Linear, f: f32) -> f32 {
 }
 
 /// The tube between two knots and nearest to one ring. Everything but the axis changes linearly along it.
-pub(crate) struct Piece {
+pub(in crate::track) struct Piece {
     /// Polynomial coefficients, pixels from the patch's centre.
     axis: [[f32; 2]; 4],
     half: Linear,
@@ -88,7 +88,7 @@ impl Light<'_> {
 }
 
 impl<'a> Scene<'a> {
-    pub(crate) fn new(
+    pub(in crate::track) fn new(
         image: &'a TubeImage,
         turns: &'a [Vector2<f64>],
         colours: &'a [f64],
@@ -99,7 +99,7 @@ impl<'a> Scene<'a> {
         Self { image, turns, layout: &stretch.layout, colours, blur_px, encoding }
     }
 
-    pub(crate) fn light(&self) -> Light<'a> {
+    pub(super) fn light(&self) -> Light<'a> {
         let colour = |i: usize| self.colours[i] as f32;
         Light {
             background: std::array::from_fn(|c| colour(BACKGROUND + c)),
@@ -114,7 +114,7 @@ impl<'a> Scene<'a> {
 
     /// The part of the tube in a span, relative to `middle`, seen by samples that are spread over their neighbourhoods
     /// with these variances along x and y, px².
-    pub(crate) fn piece(&self, place: &Span, middle: &Vector2<f64>, spread_px2: &Vector2<f64>) -> Piece {
+    pub(super) fn piece(&self, place: &Span, middle: &Vector2<f64>, spread_px2: &Vector2<f64>) -> Piece {
         let Self { image, turns, layout, colours, .. } = self;
         let (a, b) = (&image.knots[place.knot], &image.knots[place.knot + 1]);
         let spread = |knot: &Knot| {
@@ -144,7 +144,7 @@ impl<'a> Scene<'a> {
 }
 
 /// Most points that are evaluated together. All belong to one [`Piece`].
-pub(crate) const CHUNK: usize = 32;
+pub(super) const CHUNK: usize = 32;
 /// Points are filled up to a multiple of this.
 const WIDTH: usize = 8;
 
@@ -155,7 +155,7 @@ struct Lanes([f32; CHUNK]);
 
 /// Some points of a piece and the model's values there, before they are weighted for a stored channel.
 #[derive(Default)]
-pub(crate) struct Chunk {
+pub(in crate::track) struct Chunk {
     /// Number of points, including copies of the last that fill up a vector.
     lanes: usize,
     /// Position relative to the patch's centre.
@@ -186,7 +186,7 @@ pub(crate) struct Chunk {
 
 impl Chunk {
     /// Takes up to [`CHUNK`] points, at least one, given relative to the patch's centre, and their feet.
-    pub(crate) fn set(&mut self, x: &[f32], y: &[f32], f: &[f32]) {
+    pub(super) fn set(&mut self, x: &[f32], y: &[f32], f: &[f32]) {
         let count = x.len().min(CHUNK);
         self.lanes = count.next_multiple_of(WIDTH).min(CHUNK);
         let Self { lanes, x: to_x, y: to_y, f: to_f, .. } = self;
@@ -197,19 +197,19 @@ impl Chunk {
     }
 
     /// Evaluates the model at its points.
-    pub(crate) fn evaluate(&mut self, piece: &Piece, light: &Light<'_>) {
+    pub(super) fn evaluate(&mut self, piece: &Piece, light: &Light<'_>) {
         evaluate(self, piece, light);
     }
 
     /// Predicted values of a stored channel, a sum of R'G'B' with `weights`.
-    pub(crate) fn values(&self, weights: &[f32; 3]) -> [f32; CHUNK] {
+    pub(super) fn values(&self, weights: &[f32; 3]) -> [f32; CHUNK] {
         let [r, g, b] = &self.value;
         std::array::from_fn(|i| weights[0] * r.0[i] + weights[1] * g.0[i] + weights[2] * b.0[i])
     }
 
     /// Distances from the axis when last evaluated, half widths.
     #[inline(always)]
-    pub(crate) fn across(&self, piece: &Piece) -> [f32; CHUNK] {
+    pub(super) fn across(&self, piece: &Piece) -> [f32; CHUNK] {
         std::array::from_fn(|i| self.u.0[i] / at(piece.half, self.f.0[i]))
     }
 
@@ -231,7 +231,7 @@ impl Chunk {
 
 /// Rows of a chunk: by column, with a number for each point, and by point.
 #[derive(Default)]
-pub(crate) struct Rows {
+pub(in crate::track) struct Rows {
     columns: [Lanes; ROW],
     rows: [Row; CHUNK],
 }
@@ -239,7 +239,13 @@ pub(crate) struct Rows {
 impl Rows {
     /// Those of a stored channel, a sum of R'G'B' with `weights`: whole batches of points. Of each row the first
     /// [`Seen::width`] elements are valid.
-    pub(crate) fn of(&mut self, chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3]) -> &[Row] {
+    pub(in crate::track) fn of(
+        &mut self,
+        chunk: &Chunk,
+        piece: &Piece,
+        light: &Light<'_>,
+        weights: &[f32; 3],
+    ) -> &[Row] {
         let Self { columns, rows } = self;
         weigh(chunk, piece, light, weights, columns);
         let lanes = chunk.lanes.min(CHUNK);

@@ -14,7 +14,7 @@ use multiversion::multiversion;
 use nalgebra::SMatrix;
 
 /// Scatter of a view's residuals, and what a coder adds.
-pub(crate) struct Scattered {
+pub(in crate::track) struct Scattered {
     /// Covariance of the shape.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub slips: Slips,
@@ -27,7 +27,7 @@ pub(crate) struct Scattered {
 
 /// Sums of weighted derivatives over the samples of a view.
 #[derive(Default)]
-pub(crate) struct Scores {
+pub(super) struct Scores {
     /// Rows times residuals, summed over each cell.
     pub cells: Vec<Row>,
     slips: Slips,
@@ -46,7 +46,7 @@ pub(crate) struct Scores {
 
 impl Scores {
     /// Begins with those of another comparison.
-    pub(crate) fn clear(&mut self, patch: &Patch, scene: &Scene<'_>) {
+    pub(super) fn clear(&mut self, patch: &Patch, scene: &Scene<'_>) {
         let (cells, spans) = (patch.cells.len(), patch.spans.len());
         restart(&mut self.cells, cells);
         restart(&mut self.coded, cells);
@@ -56,7 +56,7 @@ impl Scores {
     }
 
     /// Adds samples.
-    pub(crate) fn add(&mut self, part: &Part<'_>) {
+    pub(super) fn add(&mut self, part: &Part<'_>) {
         self.said += add_to_cells(&mut self.cells, &mut self.coded, part);
         add_to_width(&mut self.widths[part.span], part);
         if !part.apart {
@@ -75,7 +75,7 @@ impl Scores {
     /// samples and channels (a cluster-robust "sandwich"; White 1980, doi:10.2307/1912934, Liang and Zeger 1986,
     /// doi:10.1093/biomet/73.1.13). `plain` is the covariance of the shape if noise were independent, `view` are the
     /// equations of this view, `coder_variances` those of the stored channels at a pixel.
-    pub(crate) fn scatter(
+    pub(super) fn scatter(
         &mut self,
         patch: &Patch,
         scene: &Scene<'_>,

@@ -20,14 +20,14 @@ const LEAST_MEAN: f64 = 0.94;
 
 /// Differences in one view of a frame.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Differences {
+pub(in crate::track) struct Differences {
     count: f64,
     absolute: f64,
     squares: f64,
 }
 
 impl Differences {
-    pub(crate) fn add(&mut self, difference: f32) {
+    pub(super) fn add(&mut self, difference: f32) {
         let difference = f64::from(difference);
         self.count += 1.0;
         self.absolute += difference.abs();
@@ -37,14 +37,14 @@ impl Differences {
 
 /// Sums over all views and frames so far.
 #[derive(Debug, Default)]
-pub(crate) struct Grain {
+pub(in crate::track) struct Grain {
     sum: Differences,
     /// The sum of absolute values if all were normal, with the RMS of their own view and frame.
     normal: f64,
 }
 
 impl Grain {
-    pub(crate) fn add(&mut self, view: &Differences) {
+    pub(in crate::track) fn add(&mut self, view: &Differences) {
         let Differences { count, absolute, squares } = *view;
         self.sum.count += count;
         self.sum.absolute += absolute;
@@ -53,7 +53,7 @@ impl Grain {
     }
 
     /// Whether the noise is a sensor's.
-    pub(crate) fn is_sensor(&self) -> bool {
+    pub(in crate::track) fn is_sensor(&self) -> bool {
         let Differences { count, absolute, squares } = self.sum;
         let has_noise = squares >= 2.0 * LEAST_NOISE.powi(2) * count;
         count >= LEAST && has_noise && absolute >= LEAST_MEAN * self.normal

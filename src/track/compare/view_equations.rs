@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 /// A part of the tube: between a knot and the next, nearest to one ring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Span {
+pub(in crate::track) struct Span {
     pub knot: usize,
     /// The segment before it has the same number.
     pub ring: usize,
@@ -26,7 +26,7 @@ pub(crate) struct Span {
 
 /// What is seen of the tube: nothing, the segment before the nearest ring, the one after it, or both and the ring.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(crate) enum Seen {
+pub(in crate::track) enum Seen {
     #[default]
     Nothing,
     Before,
@@ -36,7 +36,7 @@ pub(crate) enum Seen {
 
 impl Seen {
     /// How many elements of a row are in use.
-    pub(crate) fn width(self) -> usize {
+    pub(super) fn width(self) -> usize {
         match self {
             Self::Nothing => OUTSIDE,
             Self::Before | Self::Behind => PLAIN,
@@ -47,27 +47,27 @@ impl Seen {
 
 /// Length of a row, of the part used by a sample away from rings, and of the part used by one of the background; all
 /// are whole vectors.
-pub(crate) const ROW: usize = 24;
+pub(in crate::track) const ROW: usize = 24;
 const PLAIN: usize = 16;
 const OUTSIDE: usize = 8;
 /// Derivatives of one sample's prediction, those of a plain sample first: both knots across; background; its gradient;
 /// shading and its changes; colour of the segment before the nearest ring, or of the only one that is seen; colour of
 /// the one after the ring; cap; both knots along; their bulge. Elements beyond [`Seen::width`] have no meaning.
-pub(crate) type Row = [f32; ROW];
+pub(in crate::track) type Row = [f32; ROW];
 
-pub(crate) const ROW_ACROSS: usize = 0;
-pub(crate) const ROW_BACKGROUND: usize = 2;
-pub(crate) const ROW_GRADIENT: usize = 5;
-pub(crate) const ROW_SHADING: usize = 7;
-pub(crate) const ROW_BEFORE: usize = ROW_SHADING + SHADES;
-pub(crate) const ROW_BEHIND: usize = ROW_BEFORE + PER_SEGMENT;
-pub(crate) const ROW_CAP: usize = ROW_BEHIND + PER_SEGMENT;
-pub(crate) const ROW_ALONG: usize = ROW_CAP + 1;
-pub(crate) const ROW_BULGE: usize = ROW_ALONG + 2;
+pub(super) const ROW_ACROSS: usize = 0;
+pub(super) const ROW_BACKGROUND: usize = 2;
+pub(super) const ROW_GRADIENT: usize = 5;
+pub(super) const ROW_SHADING: usize = 7;
+pub(super) const ROW_BEFORE: usize = ROW_SHADING + SHADES;
+pub(super) const ROW_BEHIND: usize = ROW_BEFORE + PER_SEGMENT;
+pub(super) const ROW_CAP: usize = ROW_BEHIND + PER_SEGMENT;
+pub(super) const ROW_ALONG: usize = ROW_CAP + 1;
+pub(super) const ROW_BULGE: usize = ROW_ALONG + 2;
 
 /// Adds a row, multiplied by `by`, to a sum of rows in which each segment has its own elements.
 #[inline(always)]
-pub(crate) fn add_row(sum: &mut Row, row: &Row, seen: Seen, by: f32) {
+pub(in crate::track) fn add_row(sum: &mut Row, row: &Row, seen: Seen, by: f32) {
     let mut add = |to: std::ops::Range<usize>, from: usize| {
         sum[to.clone()].iter_mut().zip(&row[from..]).for_each(|(sum, value)| *sum += by * value);
     };
@@ -84,7 +84,7 @@ pub(crate) fn add_row(sum: &mut Row, row: &Row, seen: Seen, by: f32) {
 
 /// Change of a sample's prediction when the picture is shifted by a pixel across the tube, and along it.
 #[inline(always)]
-pub(crate) fn shifted(row: &Row, seen: Seen) -> [f32; 2] {
+pub(in crate::track) fn shifted(row: &Row, seen: Seen) -> [f32; 2] {
     let of = |at: usize| row[at] + row[at + 1];
     [of(ROW_ACROSS), if seen == Seen::Ring { of(ROW_ALONG) } else { 0.0 }]
 }
@@ -95,7 +95,7 @@ const PLAIN_MOVES: [usize; 2] = [ROW_ACROSS, ROW_ACROSS + 1];
 
 /// The colour that element `i` of a row at `ring` belongs to; `None` for the shape, for padding, and for a segment that
 /// does not exist.
-pub(crate) fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
+pub(super) fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
     let segment = |j: usize, c: usize| (j < layout.segments()).then_some(segment_at(j) + c);
     match i {
         ROW_BACKGROUND..ROW_GRADIENT => Some(BACKGROUND + i - ROW_BACKGROUND),
@@ -109,7 +109,7 @@ pub(crate) fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
 }
 
 /// Adds those elements of a sum of rows that belong to colours.
-pub(crate) fn add_colours(colours: &mut DVector<f64>, sum: &Row, span: &Span, layout: &Layout) {
+pub(in crate::track) fn add_colours(colours: &mut DVector<f64>, sum: &Row, span: &Span, layout: &Layout) {
     for (i, value) in sum.iter().enumerate() {
         if let Some(at) = colour(i, span.ring, layout) {
             colours[at] += f64::from(*value);
@@ -118,7 +118,7 @@ pub(crate) fn add_colours(colours: &mut DVector<f64>, sum: &Row, span: &Span, la
 }
 
 /// Adds those elements of a sum of rows that move the shape.
-pub(crate) fn add_shape(shape: &mut ShapeStep, sum: &Row, span: &Span, image: &TubeImage) {
+pub(in crate::track) fn add_shape(shape: &mut ShapeStep, sum: &Row, span: &Span, image: &TubeImage) {
     for (moves, i) in moved(image, span.knot).into_iter().zip(MOVES) {
         *shape += moves * f64::from(sum[i]);
     }
@@ -135,7 +135,7 @@ fn moves(image: &TubeImage, knot: usize) -> [Padded; MOVES.len()] {
 
 /// How much an error of the prediction moves the shape, for each element of a row: `of_shape` and `of_colours` give it
 /// for the parameters.
-pub(crate) fn influence(
+pub(super) fn influence(
     image: &TubeImage,
     span: &Span,
     layout: &Layout,
@@ -152,7 +152,7 @@ pub(crate) fn influence(
 
 /// Sums over a view's samples: J'WJ, J'Wr and the robust cost.
 #[derive(Debug, Clone)]
-pub(crate) struct Normal {
+pub(in crate::track) struct Normal {
     /// Shared by equations that differ in the gradient alone.
     pub hessian: Arc<Hessian>,
     pub shape_gradient: ShapeStep,
@@ -164,7 +164,7 @@ pub(crate) struct Normal {
 
 /// J'WJ of a view.
 #[derive(Debug, Clone)]
-pub(crate) struct Hessian {
+pub(in crate::track) struct Hessian {
     pub shape: SMatrix<f64, SHAPE, SHAPE>,
     /// For each colour, its products with the shape.
     pub cross: Vec<Padded>,
@@ -173,11 +173,11 @@ pub(crate) struct Hessian {
 }
 
 /// Sum of squared residuals and their count: per channel, near the tube and in the background.
-pub(crate) type Squares = [[(f64, usize); 2]; 3];
+pub(in crate::track) type Squares = [[(f64, usize); 2]; 3];
 
 impl Normal {
     /// The same with another gradient, from the sums of rows times residuals in each span.
-    pub(crate) fn with_gradient<'a>(
+    pub(super) fn with_gradient<'a>(
         &self,
         sums: impl Iterator<Item = (&'a Span, &'a Row)>,
         image: &TubeImage,
@@ -373,7 +373,7 @@ fn products<const N: usize, const FROM: usize, const FIRST: bool>(
 
 /// Sums of a view's samples: of the background, and in each span before, after and at the ring nearest to them.
 #[derive(Default)]
-pub(crate) struct Sums {
+pub(in crate::track) struct Sums {
     background: Block<OUTSIDE>,
     spans: Vec<SpanSums>,
     /// What belongs to the same colours: at each ring, and in each segment.
@@ -389,13 +389,13 @@ struct SpanSums {
 
 impl Sums {
     /// For this many spans.
-    pub(crate) fn resize(&mut self, spans: usize) {
+    pub(super) fn resize(&mut self, spans: usize) {
         self.spans.resize_with(spans, SpanSums::default);
     }
 
     /// Adds samples of a span that see the same part of the tube: whole batches, with weights of zero where there is
     /// none.
-    pub(crate) fn add(&mut self, span: usize, seen: Seen, rows: &[Row], residuals: &[f32], weights: &[f32]) {
+    pub(super) fn add(&mut self, span: usize, seen: Seen, rows: &[Row], residuals: &[f32], weights: &[f32]) {
         let Some(SpanSums { plain, at_ring }) = self.spans.get_mut(span) else { return };
         match seen {
             Seen::Nothing => self.background.add(rows, residuals, weights),
@@ -406,7 +406,7 @@ impl Sums {
     }
 
     /// The sums for all parameters, which are then reset; the caller adds cost and squares.
-    pub(crate) fn take(&mut self, spans: &[Span], image: &TubeImage, layout: &Layout) -> Normal {
+    pub(super) fn take(&mut self, spans: &[Span], image: &TubeImage, layout: &Layout) -> Normal {
         let colours = layout.colours();
         let mut mapped = Mapped {
             shape: [[0.0; PADDED]; SHAPE],

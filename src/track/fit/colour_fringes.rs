@@ -37,7 +37,7 @@ const CLEAR_SD: f64 = 5.0;
 
 /// What the groups of bands have shown so far.
 #[derive(Debug)]
-pub(crate) struct Fringes {
+pub(in crate::track) struct Fringes {
     /// Centre of the lens in the picture.
     centre: Point2<f64>,
     /// Of other places than those where the groups are now.
@@ -133,19 +133,19 @@ impl Known {
 }
 
 impl Fringes {
-    pub(crate) fn of(rig: &Rig) -> Self {
+    pub(in crate::track) fn of(rig: &Rig) -> Self {
         let centre = rig.camera.lens.principal_point_px;
         Self { centre, before: Known::nothing(rig.views.len()), groups: Vec::new() }
     }
 
     /// Whether the next fit of a group is to look.
-    pub(crate) fn look_at(&self, group: &Group, views: &[usize]) -> bool {
+    pub(super) fn look_at(&self, group: &Group, views: &[usize]) -> bool {
         let known = self.groups.iter().find(|known| known.is(group, views));
         known.is_none_or(|known| known.looks < FIRST || known.since >= EVERY)
     }
 
     /// Adds what a fit has seen, and moves it to where luma shows the tube.
-    pub(crate) fn follow(&mut self, group: &Group, views: &[usize], fit: &mut TubeFit) {
+    pub(in crate::track) fn follow(&mut self, group: &Group, views: &[usize], fit: &mut TubeFit) {
         let i = self.number(group, views);
         if let Some(look) = &fit.apart {
             self.look(i, fit.views.iter().map(|view| view.image.at_arc(0.0).pixel).collect(), look);
@@ -197,7 +197,7 @@ impl Fringes {
     }
 
     /// Whether blue clearly lies far from red in a view.
-    pub(crate) fn are_seen(&self) -> bool {
+    pub(in crate::track) fn are_seen(&self) -> bool {
         let known = self.groups.iter().filter(|group| group.looks >= KNOWN);
         known.filter_map(|group| group.ways_px.as_ref()).any(|(ways_px, covariance)| {
             let mut views = (0..ways_px.len()).step_by(WAYS);

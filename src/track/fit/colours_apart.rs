@@ -21,10 +21,10 @@ use multiversion::multiversion;
 use nalgebra::{Const, DMatrix, DVector, Dyn, Matrix2, SMatrix, SVector, Vector2};
 
 /// What lies apart in a view: red to the right and down, blue to the right and down.
-pub(crate) const WAYS: usize = 4;
+pub(super) const WAYS: usize = 4;
 
 /// Sums over the samples of a view.
-pub(crate) struct ColourSums {
+pub(super) struct ColourSums {
     /// For each span Σ w t ∂, for a shift of red across the tube and along it, and of blue.
     rows: Vec<[Row; WAYS]>,
     /// Σ w T Tᵀ and Σ w T e in the picture's axes.
@@ -39,7 +39,7 @@ pub(crate) struct ColourSums {
 const REMAINS: f64 = 0.15;
 
 /// Those of a view without its colours.
-pub(crate) struct OfView {
+pub(in crate::track) struct OfView {
     /// Σ w T Tᵀ with the colours as they are.
     whole: SMatrix<f64, WAYS, WAYS>,
     /// Products with the shape.
@@ -50,7 +50,7 @@ pub(crate) struct OfView {
 
 /// What the views of a fit show together.
 #[derive(Debug, Clone)]
-pub(crate) struct Apart {
+pub(in crate::track) struct Apart {
     /// Normal equations of r and b, those of the first view first.
     pub information: DMatrix<f64>,
     pub pull: DVector<f64>,
@@ -60,7 +60,7 @@ pub(crate) struct Apart {
 
 impl ColourSums {
     /// Of the model as it was rendered.
-    pub(crate) fn of(comparison: &mut Comparison, scene: &Scene<'_>) -> Self {
+    pub(super) fn of(comparison: &mut Comparison, scene: &Scene<'_>) -> Self {
         let rows = vec![[[0.0; ROW]; WAYS]; comparison.patch().spans.len()];
         let mut sums = Self { rows, information: SMatrix::zeros(), pull: SVector::zeros() };
         let (mut red, mut blue) = <(Rows, Rows)>::default();
@@ -84,7 +84,7 @@ impl ColourSums {
     }
 
     /// With the view's colours eliminated; `None` when they are undetermined.
-    pub(crate) fn eliminated(
+    pub(super) fn eliminated(
         &self,
         spans: &[Span],
         image: &TubeImage,
@@ -117,7 +117,7 @@ impl ColourSums {
 impl Apart {
     /// All views together. `covariance` is the shape's if noise were independent; the true one is so many times as
     /// large.
-    pub(crate) fn of(views: &[OfView], covariance: &SMatrix<f64, SHAPE, SHAPE>, times: f64) -> Self {
+    pub(in crate::track) fn of(views: &[OfView], covariance: &SMatrix<f64, SHAPE, SHAPE>, times: f64) -> Self {
         let ways = WAYS * views.len();
         let shape = ShapeBy::from_fn_generic(Const, Dyn(ways), |i, way| views[way / WAYS].shape[(i, way % WAYS)]);
         let response = covariance * &shape;
@@ -134,14 +134,14 @@ impl Apart {
     }
 
     /// No look yet, at so many views.
-    pub(crate) fn nothing(views: usize) -> Self {
+    pub(super) fn nothing(views: usize) -> Self {
         let ways = WAYS * views;
         let (information, pull) = (DMatrix::zeros(ways, ways), DVector::zeros(ways));
         Self { information, pull, response: ShapeBy::zeros(ways) }
     }
 
     /// Adds another look.
-    pub(crate) fn add(&mut self, look: &Self) {
+    pub(super) fn add(&mut self, look: &Self) {
         self.information += &look.information;
         self.pull += &look.pull;
         self.response.clone_from(&look.response);

@@ -21,7 +21,7 @@ use rayon::prelude::*;
 
 impl Round<'_> {
     /// Covariance of the shape, and the result of each view alone.
-    pub(crate) fn conclude(self, minimum: Minimum) -> Result<TubeFit, NoFit> {
+    pub(super) fn conclude(self, minimum: Minimum) -> Result<TubeFit, NoFit> {
         let Minimum { state, step, end, way_px } = minimum;
         let normals = &state.equations.views;
         let seen = normals.par_iter().map(|normal| normal.hessian.eliminate(0.0)).collect::<Option<Vec<_>>>();

@@ -27,7 +27,7 @@ const MAX_MOVED: (f64, f64) = (4.0, 1.2);
 /// Least separation of a band's fitted colour from its surroundings (1: as learned).
 const MIN_SEPARATION: f64 = 0.3;
 /// Views disagree when their own shifts exceed this χ² and this many pixels.
-pub(crate) const DISAGREEMENT: (f64, f64) = (36.0, 0.7);
+pub(in crate::track) const DISAGREEMENT: (f64, f64) = (36.0, 0.7);
 
 /// Motion blur beyond which blobs may mislead the fit: variance, px², of a motion by two pixels.
 const BLURRED_PX2: f64 = 4.0 / 12.0;
@@ -38,7 +38,7 @@ const CONTINUED_SD: f64 = 2.0;
 const UNUSUAL_RESIDUAL: f64 = 1.35;
 
 /// A fitted group with the views it was fitted in.
-pub(crate) struct Fitted {
+pub(in crate::track) struct Fitted {
     pub group: Group,
     pub views: Vec<usize>,
     pub result: Result<TubeFit, Miss>,
@@ -47,7 +47,7 @@ pub(crate) struct Fitted {
 }
 
 /// What the groups of a frame are fitted from.
-pub(crate) struct GroupFitting<'a> {
+pub(in crate::track) struct GroupFitting<'a> {
     pub rig: &'a Rig,
     pub model: &'a ImageModel,
     /// Of each view of the rig.
@@ -66,7 +66,7 @@ pub(crate) struct GroupFitting<'a> {
 
 impl GroupFitting<'_> {
     /// Fits all groups.
-    pub(crate) fn fit_all(&self) -> Vec<Fitted> {
+    pub(in crate::track) fn fit_all(&self) -> Vec<Fitted> {
         let sees = |m: usize, v: usize| self.found.assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some());
         let views = 0..self.rig.views.len();
         let together = |a: usize, b: usize| views.clone().filter(|&v| sees(a, v) && sees(b, v)).count() >= 2;
@@ -131,7 +131,7 @@ impl GroupFitting<'_> {
 
     /// Fits a group that was fitted once more, as with another model, or blurred by another share of the way since the
     /// last fit.
-    pub(crate) fn again(&self, fitted: &Fitted, share: Option<f64>) -> Option<TubeFit> {
+    pub(in crate::track) fn again(&self, fitted: &Fitted, share: Option<f64>) -> Option<TubeFit> {
         let fit = fitted.result.as_ref().ok()?;
         self.fitting(&fitted.group, &fitted.views, share).follow(&fit.shape, &fit.looks()).ok()
     }

@@ -11,7 +11,7 @@ const MAX_AGE_S: f64 = 0.06;
 
 /// The last fit of a group.
 #[derive(Debug, Clone)]
-pub(crate) struct Last {
+pub(in crate::track) struct Last {
     stamp: Timestamp,
     pub shape: TubeShape,
     /// Whether it was known which way along the tube the tip is.
@@ -54,7 +54,7 @@ impl Last {
     }
 
     /// A stretch fitted in some views, and the fit before it, perhaps together with other bands.
-    pub(crate) fn fitted(
+    pub(in crate::track) fn fitted(
         stamp: Timestamp,
         stretch: &Stretch,
         views: &[usize],
@@ -68,24 +68,24 @@ impl Last {
     }
 
     /// The looks of a stretch in some views, if it was seen so and is expected close to where it continues.
-    pub(crate) fn looks(&self, stretch: &Stretch, views: &[usize]) -> Option<&[Look]> {
+    pub(super) fn looks(&self, stretch: &Stretch, views: &[usize]) -> Option<&[Look]> {
         let looks = self.looks.as_ref()?;
         (looks.stretch == *stretch && looks.views == views).then_some(&looks.list)
     }
 
     /// How long ago it was, seconds, if recent enough.
-    pub(crate) fn age_s(&self, now: Timestamp) -> Option<f64> {
+    pub(super) fn age_s(&self, now: Timestamp) -> Option<f64> {
         self.age_within_s(MAX_AGE_S, now)
     }
 
     /// The same with another limit.
-    pub(crate) fn age_within_s(&self, limit_s: f64, now: Timestamp) -> Option<f64> {
+    pub(in crate::track) fn age_within_s(&self, limit_s: f64, now: Timestamp) -> Option<f64> {
         let age_s = now.seconds_since(self.stamp);
         (age_s > 0.0 && age_s < limit_s).then_some(age_s)
     }
 
     /// Where it is now if it moves on as it did; `None` when too little is known.
-    pub(crate) fn continued(&self, now: Timestamp) -> Option<TubeShape> {
+    pub(super) fn continued(&self, now: Timestamp) -> Option<TubeShape> {
         let [rate, change] = self.motion.as_ref()?.kept?;
         let age_s = self.age_s(now)?;
         Some(self.shape.moved(&(rate * age_s + change * (age_s * age_s / 2.0))))

@@ -31,7 +31,7 @@ const DAMPING: f64 = 1e-4;
 const MIN_DAMPING: f64 = 1e-6;
 
 /// What is compared.
-pub(crate) struct Round<'a> {
+pub(super) struct Round<'a> {
     pub stretch: &'a Stretch,
     pub paths: &'a [&'a OpticalPath],
     pub blurs_px: &'a [f64],
@@ -46,7 +46,7 @@ pub(crate) struct Round<'a> {
 }
 
 /// Shape and colours, and what they look like.
-pub(crate) struct Guess {
+pub(super) struct Guess {
     pub shape: TubeShape,
     /// For each view.
     pub colours: Vec<Vec<f64>>,
@@ -56,14 +56,14 @@ pub(crate) struct Guess {
 }
 
 /// A guess and its comparison with the samples.
-pub(crate) struct State {
+pub(super) struct State {
     pub guess: Guess,
     pub equations: Equations,
 }
 
 /// Where a round ended: the last guess that was compared with the samples, and the small step from there to the
 /// minimum.
-pub(crate) struct Minimum {
+pub(super) struct Minimum {
     pub state: State,
     pub step: Step,
     pub end: Guess,
@@ -76,7 +76,7 @@ impl Guess {
     ///
     /// # Errors
     /// When part of it cannot be seen.
-    pub(crate) fn new(
+    pub(super) fn new(
         stretch: &Stretch,
         paths: &[&OpticalPath],
         shape: TubeShape,
@@ -104,7 +104,7 @@ impl Guess {
 }
 
 /// Information of the shape's prior.
-pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
+pub(in crate::track) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
     const FREE: usize = 5;
     let mut information = SMatrix::zeros();
     for i in FREE..SHAPE {
@@ -116,7 +116,7 @@ pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
 impl Round<'_> {
     /// Iterates until a step is short, or lowers the cost (a χ²) by less than `enough`, as far as can be predicted.
     /// That last step is taken without evaluation.
-    pub(crate) fn minimise(&mut self, start: Guess, enough: f64) -> Result<Minimum, NoFit> {
+    pub(super) fn minimise(&mut self, start: Guess, enough: f64) -> Result<Minimum, NoFit> {
         let mut state = self.evaluate(start, None);
         let mut damping = DAMPING;
         // Whether the matrix is that of a state before, and whether the comparisons are those of another guess.

@@ -41,13 +41,13 @@ const SAME_PX: f64 = 0.35;
 
 /// Samples serve for fits that end within this of where they were selected, pixels; further away their noise is that of
 /// another place, and steps no longer lower the cost. Most end within 0.5 px.
-pub(crate) const NEAR_PX: f64 = 1.0;
+pub(super) const NEAR_PX: f64 = 1.0;
 /// Most need one selection, starts that are some pixels off two.
 const MAX_SELECTIONS: usize = 6;
 
 /// The result of one view.
 #[derive(Debug, Clone)]
-pub(crate) struct ViewFit {
+pub(in crate::track) struct ViewFit {
     pub image: TubeImage,
     pub look: Look,
     /// By how much this view alone would move the image of the reference band, pixels (measured − projected).
@@ -70,7 +70,7 @@ pub(crate) struct ViewFit {
 
 /// The fitted stretch.
 #[derive(Debug, Clone)]
-pub(crate) struct TubeFit {
+pub(in crate::track) struct TubeFit {
     pub shape: TubeShape,
     /// From noise and errors of the image model.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
@@ -90,22 +90,22 @@ pub(crate) struct TubeFit {
 
 impl TubeFit {
     /// How its views look.
-    pub(crate) fn looks(&self) -> Vec<Look> {
+    pub(super) fn looks(&self) -> Vec<Look> {
         self.views.iter().map(|view| view.look.clone()).collect()
     }
 
     /// How chroma that slips alike in all views, by this much, moves the shape.
-    pub(crate) fn moved_by_slip(&self, slip_px: &Vector2<f64>) -> ShapeStep {
+    pub(in crate::track) fn moved_by_slip(&self, slip_px: &Vector2<f64>) -> ShapeStep {
         self.views.iter().map(|view| view.slip_response * slip_px).sum()
     }
 
     /// Size of a pixel at the reference band, metres: that of the view with the smallest.
-    pub(crate) fn pixel_m(&self) -> f64 {
+    pub(in crate::track) fn pixel_m(&self) -> f64 {
         self.views.iter().map(|view| 1.0 / view.image.at_arc(0.0).scale).fold(f64::MAX, f64::min)
     }
 
     /// By how much the views disagree: χ² of the shifts that they alone would give.
-    pub(crate) fn disagreement(&self) -> f64 {
+    pub(in crate::track) fn disagreement(&self) -> f64 {
         let chi2 = |view: &ViewFit| {
             let information = view.residual_covariance_px2.try_inverse()?;
             Some((view.residual_px.transpose() * information * view.residual_px)[0])
@@ -114,13 +114,13 @@ impl TubeFit {
     }
 
     /// Degrees of freedom of that: views measure two coordinates each of a point in space.
-    pub(crate) fn freedom(&self) -> f64 {
+    pub(in crate::track) fn freedom(&self) -> f64 {
         (2 * self.views.len()).saturating_sub(3).max(1) as f64
     }
 }
 
 /// What a stretch is fitted to.
-pub(crate) struct Fitting<'a> {
+pub(super) struct Fitting<'a> {
     pub stretch: &'a Stretch,
     pub picture: &'a Picture,
     /// Of each view.
@@ -141,14 +141,14 @@ pub(crate) struct Fitting<'a> {
 
 /// How a view looks, which hardly changes from one frame to the next.
 #[derive(Debug, Clone)]
-pub(crate) struct Look {
+pub(in crate::track) struct Look {
     pub colours: Vec<f64>,
     /// Those looked up in a picture: their prior.
     pub expected: Vec<f64>,
 }
 
 /// Where the first round ended.
-pub(crate) struct Settled {
+pub(super) struct Settled {
     guess: Guess,
     /// The views' initial colours.
     expected: Vec<Vec<f64>>,
@@ -158,7 +158,7 @@ pub(crate) struct Settled {
 
 impl Settled {
     /// Whether a fit ended so close, at all edges of its bands, that this one would as well.
-    pub(crate) fn is_at(&self, fit: &TubeFit, stretch: &Stretch) -> bool {
+    pub(super) fn is_at(&self, fit: &TubeFit, stretch: &Stretch) -> bool {
         let images = self.guess.images.iter().zip(&fit.views);
         let off_px = |(image, view): (&TubeImage, &ViewFit)| {
             let off = |ring: &f64| (image.at_arc(*ring).pixel - view.image.at_arc(*ring).pixel).norm();
@@ -170,12 +170,12 @@ impl Settled {
 
 impl Fitting<'_> {
     /// Fits the stretch, starting from `start`.
-    pub(crate) fn fit(&self, start: &TubeShape) -> Result<TubeFit, NoFit> {
+    pub(super) fn fit(&self, start: &TubeShape) -> Result<TubeFit, NoFit> {
         self.measure(self.settle(start)?)
     }
 
     /// The first round.
-    pub(crate) fn settle(&self, start: &TubeShape) -> Result<Settled, NoFit> {
+    pub(super) fn settle(&self, start: &TubeShape) -> Result<Settled, NoFit> {
         let mut guess = self.guess(start, Vec::new())?;
         let unknown = vec![None; self.paths.len()];
         let mut round = self.round(
@@ -190,7 +190,7 @@ impl Fitting<'_> {
     }
 
     /// Fits the stretch, starting from a shape and looks that are nearly right: only the second round.
-    pub(crate) fn follow(&self, start: &TubeShape, looks: &[Look]) -> Result<TubeFit, NoFit> {
+    pub(super) fn follow(&self, start: &TubeShape, looks: &[Look]) -> Result<TubeFit, NoFit> {
         let guess = self.guess(start, looks.iter().map(|look| look.colours.clone()).collect())?;
         let expected = looks.iter().map(|look| look.expected.clone()).collect();
         self.measure(Settled { guess, expected, way_px: 0.0 })
@@ -201,7 +201,7 @@ impl Fitting<'_> {
     }
 
     /// The second round, repeated as long as it ends far from where its samples were selected.
-    pub(crate) fn measure(&self, settled: Settled) -> Result<TubeFit, NoFit> {
+    pub(super) fn measure(&self, settled: Settled) -> Result<TubeFit, NoFit> {
         let Settled { mut guess, expected, mut way_px } = settled;
         for _ in 0..MAX_SELECTIONS {
             let mut round = self.round(

@@ -22,7 +22,7 @@ const TURNING_SD: f64 = 1.0;
 const CAP_SD: f64 = 0.5;
 /// Noise assumed initially, stored units; and the least ever assumed (little more than rounding to integers).
 const START_NOISE: f64 = 2.5;
-pub(crate) const MIN_NOISE: f64 = 0.5;
+pub(super) const MIN_NOISE: f64 = 0.5;
 
 /// Variance of a coder beyond which σ no longer covers its errors: that of predicted pictures with a quantiser step of
 /// 58 (level 39, H.265's usual one in B pictures), squared stored units.
@@ -30,7 +30,7 @@ const COARSEST: f64 = coder_variance(58.0, true);
 
 /// How the samples are weighted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Weighing {
+pub(super) enum Weighing {
     /// By an assumed noise.
     Assumed,
     /// By the noise of their residuals in the first comparison.
@@ -39,7 +39,7 @@ pub(crate) enum Weighing {
 
 /// How the samples are selected and weighted.
 #[derive(Clone, Copy)]
-pub(crate) struct Selection {
+pub(super) struct Selection {
     pub density: Density,
     /// Background on either side of the tube, pixels.
     pub margin_px: f64,
@@ -47,7 +47,7 @@ pub(crate) struct Selection {
 }
 
 /// A view's samples.
-pub(crate) struct View {
+pub(super) struct View {
     pub comparison: Comparison,
     /// Initial colours, from the picture.
     pub expected_colours: Vec<f64>,
@@ -63,7 +63,7 @@ impl View {
     ///
     /// # Errors
     /// When it is outside the picture, or not all of it was recorded.
-    pub(crate) fn select(
+    pub(super) fn select(
         stretch: &Stretch,
         range_m: (f64, f64),
         image: &TubeImage,
@@ -86,7 +86,7 @@ impl View {
 
     /// Renders the view and sums its normal equations, the prior of its colours included. With the equations `before`,
     /// the last ones of a very similar image, only the gradient is new.
-    pub(crate) fn compare(&mut self, scene: &Scene<'_>, picture: &Picture, before: Option<&Normal>) -> Normal {
+    pub(super) fn compare(&mut self, scene: &Scene<'_>, picture: &Picture, before: Option<&Normal>) -> Normal {
         self.comparison.render(scene);
         let is_first = !std::mem::replace(&mut self.compared, true);
         if is_first && self.weighing == Weighing::Own {

@@ -39,7 +39,7 @@ const DISTRUSTED_FRAMES: u32 = 300;
 const SLIP_FRAMES: f64 = 20.0;
 
 /// What is known from the frames before.
-pub(crate) struct Judge {
+pub(in crate::track) struct Judge {
     /// Residuals of each band in each view, in the light of the first frames: in motion, once the catheter has moved.
     pub usual: Usual,
     stays: Stays,
@@ -104,7 +104,7 @@ fn chance(signs: usize) -> f64 {
 }
 
 impl Judge {
-    pub(crate) fn new(rig: &Rig) -> Self {
+    pub(in crate::track) fn new(rig: &Rig) -> Self {
         Self {
             usual: Usual::learned(rig),
             stays: Stays::new(rig),
@@ -121,13 +121,13 @@ impl Judge {
     }
 
     /// Whether the views lastingly disagree about a band.
-    pub(crate) fn views_disagree(&self) -> bool {
+    pub(in crate::track) fn views_disagree(&self) -> bool {
         self.disagreement.iter().any(|mean| *mean > MAX_DISAGREEMENT)
     }
 
     /// Adds the slip of chroma and the views' disagreement to the covariances, and refuses fits with unusual residuals
     /// or of too little of a band.
-    pub(crate) fn judge(
+    pub(in crate::track) fn judge(
         &mut self,
         rig: &Rig,
         encoding: &Encoding,

@@ -23,7 +23,7 @@ const CHANGED: f64 = 0.1;
 const LASTING_FRAMES: u32 = 30;
 
 /// The colour of each marker in each view in the first frames, in linear light.
-pub(crate) struct FirstColours {
+pub(super) struct FirstColours {
     levels: ByBand<Level>,
 }
 
@@ -34,13 +34,13 @@ struct Level {
 }
 
 impl FirstColours {
-    pub(crate) fn new(rig: &Rig) -> Self {
+    pub(super) fn new(rig: &Rig) -> Self {
         Self { levels: ByBand::new(rig, |_, _| Level::default()) }
     }
 
     /// By what to multiply a residual, so that it is that in the light of the first frames, where `difference` is ln of
     /// its factor to the usual one. Noise does not grow with the light: the factor is no more than that.
-    pub(crate) fn factor(&self, seen: (&Group, usize, &ViewFit), encoding: &Encoding, difference: Option<f64>) -> f64 {
+    pub(super) fn factor(&self, seen: (&Group, usize, &ViewFit), encoding: &Encoding, difference: Option<f64>) -> f64 {
         let light = self.light(seen, encoding);
         (-difference.unwrap_or(0.0).clamp(light.min(0.0), light.max(0.0))).exp()
     }
@@ -56,7 +56,7 @@ impl FirstColours {
     }
 
     /// Adds the colours of an accepted fit.
-    pub(crate) fn add(&mut self, (group, view, fit): (&Group, usize, &ViewFit)) {
+    pub(super) fn add(&mut self, (group, view, fit): (&Group, usize, &ViewFit)) {
         for (marker, colour) in bands(group, fit) {
             if let Some(level) = self.levels.get_mut(marker, view)
                 && level.frames < AVERAGED_FRAMES
@@ -88,14 +88,14 @@ fn bands<'a>(group: &'a Group, fit: &'a ViewFit) -> impl Iterator<Item = (usize,
 
 /// Counts frames in which all residuals are larger than usual.
 #[derive(Default)]
-pub(crate) struct Noisier {
+pub(super) struct Noisier {
     frames: u32,
 }
 
 impl Noisier {
     /// ln of the factor by which residuals became larger for good, if they did, from those of each fit of a frame. A
     /// single fit tells nothing: what is in front of it may last.
-    pub(crate) fn lasting(&mut self, differences: &[Vec<f64>]) -> Option<f64> {
+    pub(super) fn lasting(&mut self, differences: &[Vec<f64>]) -> Option<f64> {
         if differences.iter().filter(|of_fit| !of_fit.is_empty()).count() < 2 {
             return None;
         }

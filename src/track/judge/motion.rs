@@ -38,7 +38,7 @@ const MIN_AGREEING: u32 = 2;
 
 /// Motion of a rig's bands and of its coil's direction.
 #[derive(Debug)]
-pub(crate) struct Motion {
+pub(in crate::track) struct Motion {
     markers: Vec<QuantityMotion>,
     tangent: QuantityMotion,
     coil: usize,
@@ -46,7 +46,7 @@ pub(crate) struct Motion {
 
 impl Motion {
     /// For this many markers, of which `coil` has the direction.
-    pub(crate) fn new(markers: usize, coil: usize) -> Self {
+    pub(in crate::track) fn new(markers: usize, coil: usize) -> Self {
         Self {
             markers: vec![QuantityMotion::new(ALWAYS_POSSIBLE.0); markers],
             tangent: QuantityMotion::new(ALWAYS_POSSIBLE.1),
@@ -55,7 +55,11 @@ impl Motion {
     }
 
     /// Turns implausible measurements of an estimate into misses; `together` are the markers that were fitted together.
-    pub(crate) fn check<'a>(&mut self, estimate: &mut Estimate, together: impl Iterator<Item = &'a [(usize, f64)]>) {
+    pub(in crate::track) fn check<'a>(
+        &mut self,
+        estimate: &mut Estimate,
+        together: impl Iterator<Item = &'a [(usize, f64)]>,
+    ) {
         let stamp = estimate.stamp;
         let mut times: Vec<Option<f64>> = Vec::with_capacity(self.markers.len());
         for (course, marker) in self.markers.iter_mut().zip(&estimate.markers) {

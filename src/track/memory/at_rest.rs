@@ -15,20 +15,20 @@ const MOVED_PX: f64 = 0.5;
 const CORRECTED_FRAMES: u32 = 30;
 
 /// Where the bands are, and since when.
-pub(crate) struct Stays {
+pub(in crate::track) struct Stays {
     places_px: ByBand<Option<Point2<f64>>>,
     /// Frames since one of them moved; `None` before the first motion.
     frames: Option<u32>,
 }
 
 impl Stays {
-    pub(crate) fn new(rig: &Rig) -> Self {
+    pub(in crate::track) fn new(rig: &Rig) -> Self {
         Self { places_px: ByBand::new(rig, |_, _| None), frames: None }
     }
 
     /// Adds a frame: the bands that were fitted, with their images in some views. Returns whether this is the first
     /// motion.
-    pub(crate) fn add(&mut self, bands: impl Iterator<Item = (usize, Vec<(usize, Point2<f64>)>)>) -> bool {
+    pub(in crate::track) fn add(&mut self, bands: impl Iterator<Item = (usize, Vec<(usize, Point2<f64>)>)>) -> bool {
         let mut moved = false;
         for (marker, images) in bands {
             let mut shifts_px = Vec::with_capacity(images.len());
@@ -53,7 +53,7 @@ impl Stays {
     }
 
     /// Whether the residuals of this frame are those of bands at rest, of a catheter that also moves.
-    pub(crate) fn is_at_rest(&self) -> bool {
+    pub(in crate::track) fn is_at_rest(&self) -> bool {
         self.frames.is_some_and(|frames| frames >= CORRECTED_FRAMES)
     }
 }

@@ -5,11 +5,11 @@ use crate::source::Timestamp;
 /// How far apart they are, seconds: while they are to decide soon, and when all was found right.
 const SPACING_S: (f64, f64) = (0.05, 5.0);
 /// Longest time over which a motion between frames tells something, seconds.
-pub(crate) const LONGEST_STEP_S: f64 = 0.25;
+pub(in crate::track) const LONGEST_STEP_S: f64 = 0.25;
 
 /// When such frames are due.
 #[derive(Debug)]
-pub(crate) struct Trials {
+pub(in crate::track) struct Trials {
     last: Option<Timestamp>,
     spacing_s: f64,
 }
@@ -22,7 +22,7 @@ impl Default for Trials {
 
 impl Trials {
     /// Whether a frame is to be one.
-    pub(crate) fn are_due(&mut self, stamp: Timestamp) -> bool {
+    pub(in crate::track) fn are_due(&mut self, stamp: Timestamp) -> bool {
         // A clock may be set back.
         let due = self.last.is_none_or(|then| !(0.0..self.spacing_s).contains(&stamp.seconds_since(then)));
         self.last = if due { Some(stamp) } else { self.last };
@@ -30,7 +30,7 @@ impl Trials {
     }
 
     /// Whether they are to decide soon, from now on.
-    pub(crate) fn go_on(&mut self, soon: bool) {
+    pub(in crate::track) fn go_on(&mut self, soon: bool) {
         self.spacing_s = if soon { SPACING_S.0 } else { SPACING_S.1 };
     }
 }

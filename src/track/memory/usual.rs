@@ -58,17 +58,17 @@ impl Level {
 
 /// For each marker that is the reference of a stretch, in each view.
 #[derive(Debug)]
-pub(crate) struct Usual {
+pub(in crate::track) struct Usual {
     levels: ByBand<Level>,
 }
 
 impl Usual {
-    pub(crate) fn new(rig: &Rig) -> Self {
+    pub(in crate::track) fn new(rig: &Rig) -> Self {
         Self { levels: ByBand::new(rig, |_, _| Level::default()) }
     }
 
     /// The same, beginning with the residuals that were learned with the rig.
-    pub(crate) fn learned(rig: &Rig) -> Self {
+    pub(in crate::track) fn learned(rig: &Rig) -> Self {
         let level = |m: usize, v: usize| Level {
             learned: rig.markers[m].usual_residuals.get(v).map(|residual| residual.ln()),
             ..Level::default()
@@ -78,14 +78,14 @@ impl Usual {
 
     /// ln of the factor by which all values of a frame exceed what was learned: that of the smallest. 0 if nothing was,
     /// and where one is below it: a coder takes noise out of what rests more than out of what moves.
-    pub(crate) fn common(&self, values: impl Iterator<Item = (usize, usize, f64)>) -> f64 {
+    pub(in crate::track) fn common(&self, values: impl Iterator<Item = (usize, usize, f64)>) -> f64 {
         let beyond = values.filter_map(|(m, v, value)| Some(value.ln() - self.levels.get(m, v)?.learned?));
         beyond.min_by(f64::total_cmp).unwrap_or(0.0).max(0.0)
     }
 
     /// Standard deviations by which a value exceeds the usual one, where all values of the frame exceed what was
     /// learned by `common`; 0 below it, and while too little is known.
-    pub(crate) fn above(&mut self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
+    pub(in crate::track) fn above(&mut self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
         let Some(level) = self.levels.get_mut(marker, view) else { return 0.0 };
         let (mean, sd) = if let Some(seen) = level.seen() {
             seen
@@ -103,59 +103,59 @@ impl Usual {
     }
 
     /// The same by what was seen of another marker that looks about alike; 0 if too little was.
-    pub(crate) fn above_alike(&self, marker: usize, view: usize, value: f64) -> f64 {
+    pub(in crate::track) fn above_alike(&self, marker: usize, view: usize, value: f64) -> f64 {
         let seen = self.levels.get(marker, view).and_then(Level::seen);
         seen.map_or(0.0, |(mean, sd)| ((value.ln() - mean) / sd.max(LEARNED_SD)).max(0.0))
     }
 
     /// ln of the factor by which a value differs from what was seen, once enough was.
-    pub(crate) fn difference(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
+    pub(in crate::track) fn difference(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
         let (mean, _) = self.levels.get(marker, view)?.seen()?;
         Some(value.ln() - mean)
     }
 
     /// Forgets what was seen for long enough to be known. What was learned with the rig counts again.
-    pub(crate) fn forget(&mut self) {
+    pub(in crate::track) fn forget(&mut self) {
         for level in self.levels.iter_mut().filter(|level| level.seen().is_some()) {
             *level = Level { learned: level.learned, ..Level::default() };
         }
     }
 
     /// Multiplies all that was seen by a factor, given as its ln.
-    pub(crate) fn scale(&mut self, ln_factor: f64) {
+    pub(in crate::track) fn scale(&mut self, ln_factor: f64) {
         self.levels.iter_mut().for_each(|level| level.mean += ln_factor);
     }
 
     /// Whether enough was seen of a marker in a view.
-    pub(crate) fn is_known(&self, marker: usize, view: usize) -> bool {
+    pub(in crate::track) fn is_known(&self, marker: usize, view: usize) -> bool {
         self.levels.get(marker, view).is_some_and(|level| level.seen().is_some())
     }
 
     /// Whether some values exceeded what was learned for as long as it counts.
-    pub(crate) fn is_unlike_learned(&self) -> bool {
+    pub(in crate::track) fn is_unlike_learned(&self) -> bool {
         self.levels.iter().any(|level| level.compared >= COMPARED_FRAMES)
     }
 
     /// By which factor a value exceeds the usual or learned one; 1 while neither is known.
-    pub(crate) fn ratio(&self, marker: usize, view: usize, value: f64) -> f64 {
+    pub(in crate::track) fn ratio(&self, marker: usize, view: usize, value: f64) -> f64 {
         let level = self.levels.get(marker, view);
         level.and_then(Level::usual).map_or(1.0, |(mean, _)| value / mean.exp())
     }
 
     /// By how many standard deviations a value exceeds the usual or learned one; `None` while neither is known.
-    pub(crate) fn beyond(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
+    pub(in crate::track) fn beyond(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
         let (mean, sd) = self.levels.get(marker, view)?.usual()?;
         Some((value.ln() - mean) / sd)
     }
 
     /// The usual value of a marker in each view; `None` where too little is known.
-    pub(crate) fn values(&self, marker: usize) -> Option<Vec<f64>> {
+    pub(in crate::track) fn values(&self, marker: usize) -> Option<Vec<f64>> {
         let value = |level: &Level| (level.frames >= MIN_FRAMES).then(|| level.mean.exp());
         self.levels.of_marker(marker)?.iter().map(value).collect()
     }
 
     /// Adds an accepted value.
-    pub(crate) fn add(&mut self, marker: usize, view: usize, value: f64) {
+    pub(in crate::track) fn add(&mut self, marker: usize, view: usize, value: f64) {
         let Some(level) = self.levels.get_mut(marker, view) else { return };
         let off = value.max(f64::MIN_POSITIVE).ln() - level.mean;
         let off = level.seen().map_or(off, |(_, sd)| off.clamp(-HELD_SD * sd, HELD_SD * sd));

@@ -21,7 +21,7 @@ use crate::track::model::functions::gauss;
 
 /// Where colours change along the tube.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Layout {
+pub(in crate::track) struct Layout {
     /// Arc lengths of the rings, metres, ascending: neighbour | band | neighbour | band …
     pub rings_m: Vec<f64>,
     /// Whether the last ring is the end of the tube.
@@ -30,22 +30,22 @@ pub(crate) struct Layout {
 
 impl Layout {
     /// Number of stretches of one colour.
-    pub(crate) fn segments(&self) -> usize {
+    pub(in crate::track) fn segments(&self) -> usize {
         self.rings_m.len() + usize::from(!self.ends)
     }
 
     /// Number of bands.
-    pub(crate) fn bands(&self) -> usize {
+    pub(in crate::track) fn bands(&self) -> usize {
         self.rings_m.len().div_ceil(2)
     }
 
     /// Number of colour parameters of a view.
-    pub(crate) fn colours(&self) -> usize {
+    pub(in crate::track) fn colours(&self) -> usize {
         FIXED + PER_SEGMENT * self.segments()
     }
 
     /// The ring nearest to `s_m`.
-    pub(crate) fn nearest_ring(&self, s_m: f64) -> usize {
+    pub(in crate::track) fn nearest_ring(&self, s_m: f64) -> usize {
         let mut best = 0;
         for (i, ring) in self.rings_m.iter().enumerate() {
             if (ring - s_m).abs() < (self.rings_m[best] - s_m).abs() {
@@ -58,19 +58,19 @@ impl Layout {
 
 /// Colour parameters of a view: background R, G, B; its gradient in x, y; m₁ to m₄; g, by which m₁ changes per radian
 /// of turn; brightness of the cap; then for each segment R, G, B. All in linear light, 0..1.
-pub(crate) const BACKGROUND: usize = 0;
-pub(crate) const GRADIENT: usize = 3;
-pub(crate) const SHADING: usize = 5;
-pub(crate) const HARMONICS: usize = 4;
-pub(crate) const TURNING: usize = SHADING + HARMONICS;
-pub(crate) const SHADES: usize = HARMONICS + 2;
-pub(crate) const CAP: usize = SHADING + SHADES;
-pub(crate) const FIXED: usize = CAP + 1;
-pub(crate) const PER_SEGMENT: usize = 3;
+pub(in crate::track) const BACKGROUND: usize = 0;
+pub(in crate::track) const GRADIENT: usize = 3;
+pub(in crate::track) const SHADING: usize = 5;
+pub(in crate::track) const HARMONICS: usize = 4;
+pub(in crate::track) const TURNING: usize = SHADING + HARMONICS;
+pub(in crate::track) const SHADES: usize = HARMONICS + 2;
+pub(in crate::track) const CAP: usize = SHADING + SHADES;
+pub(super) const FIXED: usize = CAP + 1;
+pub(in crate::track) const PER_SEGMENT: usize = 3;
 
 /// Where the colour of a segment begins among them.
 #[inline(always)]
-pub(crate) const fn segment_at(segment: usize) -> usize {
+pub(in crate::track) const fn segment_at(segment: usize) -> usize {
     FIXED + PER_SEGMENT * segment
 }
 
@@ -86,7 +86,7 @@ const P5: f32 = -0.664_405;
 
 /// Weight beyond an edge and its derivatives with respect to u and v (pixels) and the ring's bulge.
 #[derive(Clone, Copy, Default)]
-pub(crate) struct Edge {
+pub(in crate::track) struct Edge {
     pub weight: f32,
     pub d_u: f32,
     pub d_v: f32,
@@ -115,7 +115,7 @@ impl Edge {
 /// How much is seen of each part along the tube: the segment before the nearest ring, the one after it, the region
 /// beyond the tube's end, and its cap.
 #[derive(Clone, Copy)]
-pub(crate) struct Edges {
+pub(in crate::track) struct Edges {
     pub before: Edge,
     pub behind: Edge,
     pub outline: Edge,
@@ -125,7 +125,7 @@ pub(crate) struct Edges {
 impl Edges {
     /// Values far from any ring.
     #[inline(always)]
-    pub(crate) fn away(is_before: bool) -> Self {
+    pub(in crate::track) fn away(is_before: bool) -> Self {
         let before = if is_before { 1.0 } else { 0.0 };
         let (before, behind) = (Edge::whole(before), Edge::whole(1.0 - before));
         Self { before, behind, outline: Edge::NONE, cap: Edge::NONE }
@@ -134,7 +134,13 @@ impl Edges {
     /// Values at x half widths from the axis and `from_ring` pixels beyond the ring, or the tube's end if it `ENDS`
     /// there.
     #[inline(always)]
-    pub(crate) fn at_ring<const ENDS: bool>(x: f32, half: f32, from_ring: f32, bulge: f32, blur_px: f32) -> Self {
+    pub(in crate::track) fn at_ring<const ENDS: bool>(
+        x: f32,
+        half: f32,
+        from_ring: f32,
+        bulge: f32,
+        blur_px: f32,
+    ) -> Self {
         // The ring's near side is displaced by `bulge·root`; root is kept away from its infinite slope at the outline.
         let root = (1.0 - x * x).max(0.0).sqrt();
         let d_root = -x / (half * root.max(0.3));
@@ -157,7 +163,7 @@ impl Edges {
 }
 
 /// The blurred profile across the tube: coverage, and the factors of m₁ to m₄, with derivatives with respect to u.
-pub(crate) struct Across {
+pub(in crate::track) struct Across {
     pub cover: f32,
     pub shades: [f32; HARMONICS],
     pub d_cover: f32,
@@ -166,7 +172,7 @@ pub(crate) struct Across {
 
 impl Across {
     #[inline(always)]
-    pub(crate) fn new(u: f32, half: f32, sigma: f32) -> Self {
+    pub(in crate::track) fn new(u: f32, half: f32, sigma: f32) -> Self {
         let (per_sigma, per_half) = (1.0 / sigma, 1.0 / half);
         let (phi_left, g_left) = gauss((u + half) * per_sigma);
         let (phi_right, g_right) = gauss((u - half) * per_sigma);

@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 
 /// A stored channel: number, weights of R'G'B', constant.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Channel {
+pub(in crate::track) struct Channel {
     pub number: u8,
     pub weights: [f32; 3],
     pub constant: f32,
@@ -22,7 +22,7 @@ pub(crate) struct Channel {
 }
 
 impl Channel {
-    pub(crate) fn of(picture: &Picture, number: usize) -> Self {
+    pub(in crate::track) fn of(picture: &Picture, number: usize) -> Self {
         let (format, colour) = (picture.format(), picture.colour());
         let (weights, constant) = colour.channel_from_rgb(format, number);
         let weights = weights.map(|w| w as f32);
@@ -53,7 +53,7 @@ fn of_luma(picture: &Picture) -> [f32; 3] {
 const LOBES: f64 = 3.0;
 
 /// Where the chroma of each pixel lies.
-pub(crate) struct Beside {
+pub(in crate::track) struct Beside {
     luma: Option<[f32; 3]>,
     /// Columns and rows from the pixel's, with their weights.
     taps: [Vec<(i64, f32)>; 2],
@@ -62,19 +62,19 @@ pub(crate) struct Beside {
 impl Beside {
     /// Chroma that shows what is this far beside its pixels, right and down; `None` if it is at their place, or
     /// subsampled.
-    pub(crate) fn of(picture: &Picture, chroma_offset_px: [f64; 2]) -> Option<Self> {
+    pub(in crate::track) fn of(picture: &Picture, chroma_offset_px: [f64; 2]) -> Option<Self> {
         let is_beside = picture.format().has_chroma_per_pixel() && chroma_offset_px != [0.0; 2];
         is_beside.then(|| Self { luma: luma(picture), taps: chroma_offset_px.map(|offset_px| taps(-offset_px)) })
     }
 
     /// How far from a pixel its chroma is looked up, pixels.
-    pub(crate) fn reach_px(&self) -> u32 {
+    pub(in crate::track) fn reach_px(&self) -> u32 {
         let taps = self.taps.iter().flatten();
         taps.map(|(by, _)| by.unsigned_abs() as u32).max().unwrap_or(0)
     }
 
     /// By how much the values of a pixel change if its own chroma takes the place of that which is stored there.
-    pub(crate) fn changes(&self, planes: &[Plane<'_>; 3], at: [usize; 2]) -> [f32; 3] {
+    pub(in crate::track) fn changes(&self, planes: &[Plane<'_>; 3], at: [usize; 2]) -> [f32; 3] {
         let changes = planes.each_ref().map(|plane| self.change(plane, at));
         match self.luma {
             Some(luma) => {

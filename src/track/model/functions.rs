@@ -7,7 +7,7 @@ use crate::source::Transfer;
 /// e^x to a relative error of 2e-7, for x up to 88: Cephes' `expf` (S. L. Moshier, Methods and Programs for
 /// Mathematical Functions, 1989).
 #[inline(always)]
-pub(crate) fn exp(x: f32) -> f32 {
+pub(super) fn exp(x: f32) -> f32 {
     // Adding and subtracting it rounds to an integer, which is in the lowest bits in between.
     const ROUND: f32 = 12_582_912.0;
     let x = x.clamp(-87.0, 88.0);
@@ -21,7 +21,7 @@ pub(crate) fn exp(x: f32) -> f32 {
 
 /// ln x to 2e-7, for positive x that is not tiny: Cephes' `logf`.
 #[inline(always)]
-pub(crate) fn ln(x: f32) -> f32 {
+pub(super) fn ln(x: f32) -> f32 {
     // x = m 2^e, m within √½ to √2.
     const OFFSET: u32 = 0x3F35_04F3;
     let bits = x.to_bits().wrapping_sub(OFFSET);
@@ -36,7 +36,7 @@ pub(crate) fn ln(x: f32) -> f32 {
 
 /// Standard normal distribution and density at `z`, to 3e-7: Abramowitz and Stegun (1964), 7.1.26.
 #[inline(always)]
-pub(crate) fn gauss(z: f32) -> (f32, f32) {
+pub(super) fn gauss(z: f32) -> (f32, f32) {
     // Smaller ones mean nothing, and their products would be subnormal, which costs a hundred cycles each.
     const SMALLEST: f32 = -20.0;
     let exp = exp((z * z * -0.5).max(SMALLEST));
@@ -51,7 +51,7 @@ const FRAC_2_SQRT_TAU: f32 = std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts
 
 /// Linear light (0 black, 1 white) to stored R'G'B' (0..255) and back.
 #[derive(Debug, Clone)]
-pub(crate) struct Encoding {
+pub(in crate::track) struct Encoding {
     /// The stored value is `scale · light^exponent − offset`, and `slope · light` below `toe`.
     scale: f32,
     exponent: f32,
@@ -62,7 +62,7 @@ pub(crate) struct Encoding {
 
 impl Encoding {
     /// ITU-R BT.709-6 item 1.2 and IEC 61966-2-1.
-    pub(crate) fn new(transfer: Transfer) -> Self {
+    pub(in crate::track) fn new(transfer: Transfer) -> Self {
         let (scale, exponent, offset, toe, slope) = match transfer {
             Transfer::Bt709 => (1.099, 0.45, 0.099, 0.018, 4.5),
             Transfer::Srgb => (1.055, 1.0 / 2.4, 0.055, 0.003_130_8, 12.92),
@@ -72,7 +72,7 @@ impl Encoding {
     }
 
     /// Stored is light to the power of `gamma`, and in proportion to light where that would be too steep.
-    pub(crate) fn power(gamma: f64) -> Self {
+    pub(in crate::track) fn power(gamma: f64) -> Self {
         const TOE: f64 = 0.002;
         let slope = 255.0 * TOE.powf(gamma - 1.0);
         Self { scale: 255.0, exponent: gamma as f32, offset: 0.0, toe: TOE as f32, slope: slope as f32 }
@@ -80,7 +80,7 @@ impl Encoding {
 
     /// Stored value and its slope per unit of light.
     #[inline(always)]
-    pub(crate) fn encode(&self, light: f32) -> (f32, f32) {
+    pub(in crate::track) fn encode(&self, light: f32) -> (f32, f32) {
         let light = light.max(0.0);
         let power = self.scale * exp(self.exponent * ln(light));
         let (value, slope) = (power - self.offset, self.exponent * power / light);
@@ -88,7 +88,7 @@ impl Encoding {
     }
 
     /// Light of a stored value.
-    pub(crate) fn decode(&self, stored: f64) -> f64 {
+    pub(in crate::track) fn decode(&self, stored: f64) -> f64 {
         let [scale, exponent, offset, slope] = [self.scale, self.exponent, self.offset, self.slope].map(f64::from);
         let (stored, in_toe) = (stored.max(0.0), stored.max(0.0) / slope);
         if in_toe < f64::from(self.toe) { in_toe } else { ((stored + offset) / scale).powf(1.0 / exponent) }

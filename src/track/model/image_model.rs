@@ -6,7 +6,7 @@ use crate::track::model::mosaic::Mosaic;
 
 /// Parameters of the image model, the same for all views.
 #[derive(Debug, Clone)]
-pub(crate) struct ImageModel {
+pub(in crate::track) struct ImageModel {
     pub encoding: Encoding,
     /// Offset of the chroma samples from where the stream puts them, pixels.
     pub chroma_offset_px: [f64; 2],
@@ -24,14 +24,14 @@ pub(crate) struct ImageModel {
 impl ImageModel {
     /// How coarsely a picture was quantised, by its own coder or by that of the video it is a copy of, whichever lost
     /// more; `None` when that is unknown, and without losses.
-    pub(crate) fn quantisation<'a>(&'a self, picture: &'a Picture) -> Option<&'a Quantisation> {
+    pub(in crate::track) fn quantisation<'a>(&'a self, picture: &'a Picture) -> Option<&'a Quantisation> {
         let own = picture.quantisation();
         self.first_coded.as_ref().filter(|first| own.is_none_or(|own| first.is_coarser_than(own))).or(own)
     }
 
     /// Its errors in a picture. `converted` tells that it was made from one with subsampled chroma (paired_chroma.rs),
     /// `noisy` that it still has the noise of its sensor (sensor_noise.rs).
-    pub(crate) fn error_in(&self, picture: &Picture, converted: bool, noisy: bool) -> ModelError {
+    pub(in crate::track) fn error_in(&self, picture: &Picture, converted: bool, noisy: bool) -> ModelError {
         match self.quantisation(picture) {
             Some(_) => ModelError::QUANTISED,
             None if converted || (may_be_coded(picture) && !noisy) => ModelError::CODED,
@@ -40,7 +40,7 @@ impl ImageModel {
     }
 
     /// Whether a picture was predicted from others.
-    pub(crate) fn is_predicted(&self, picture: &Picture) -> bool {
+    pub(in crate::track) fn is_predicted(&self, picture: &Picture) -> bool {
         self.quantisation(picture).is_some_and(|quantisation| quantisation.predicted)
     }
 }
@@ -73,7 +73,7 @@ const MEASURED_BLUR_PX: f64 = 0.55;
 
 impl ModelError {
     /// For pictures as the sensor gave them.
-    pub(crate) const FULL: Self = Self {
+    pub(in crate::track) const FULL: Self = Self {
         across_px: 0.015,
         along_px: 0.015,
         turn_px: 0.02,
@@ -82,7 +82,7 @@ impl ModelError {
         persisting: 0.0,
     };
     /// For pictures whose coder says how coarsely it quantised ([`coder_variance`] has the rest).
-    pub(crate) const QUANTISED: Self = Self {
+    pub(super) const QUANTISED: Self = Self {
         across_px: 0.027,
         along_px: 0.027,
         turn_px: 0.035,
@@ -92,7 +92,7 @@ impl ModelError {
     };
     /// For pictures with subsampled chroma of unknown origin, without the noise of a sensor: a recorder may have
     /// quantised them.
-    pub(crate) const CODED: Self = Self {
+    pub(in crate::track) const CODED: Self = Self {
         across_px: 0.029,
         along_px: 0.029,
         turn_px: 0.06,
@@ -102,12 +102,12 @@ impl ModelError {
     };
 
     /// Errors common to all frames of a recording, including a coder's errors that stay while the tube does not move.
-    pub(crate) fn lasting(self) -> Self {
+    pub(in crate::track) fn lasting(self) -> Self {
         if self == Self::FULL { self } else { Self::CODED }
     }
 
     /// The same in pictures of this blur.
-    pub(crate) fn blurred(self, blur_px: f64) -> Self {
+    pub(in crate::track) fn blurred(self, blur_px: f64) -> Self {
         let by = (blur_px / MEASURED_BLUR_PX).max(1.0);
         let Self { across_px, along_px, turn_px, along_at_clamp_px, .. } = self;
         let [across_px, along_px, turn_px, along_at_clamp_px] =
@@ -116,13 +116,13 @@ impl ModelError {
     }
 
     /// Factor by which it grows for residuals of this RMS.
-    pub(crate) fn growth(&self, rms: f64) -> f64 {
+    pub(in crate::track) fn growth(&self, rms: f64) -> f64 {
         (rms / self.coding_rms).max(1.0)
     }
 }
 
 /// Whether nothing but its noise tells whether a coder changed a picture.
-pub(crate) fn may_be_coded(picture: &Picture) -> bool {
+pub(in crate::track) fn may_be_coded(picture: &Picture) -> bool {
     picture.quantisation().is_none() && picture.format().is_subsampled()
 }
 
@@ -136,7 +136,7 @@ pub(crate) fn may_be_coded(picture: &Picture) -> bool {
 /// coded from crf 10 to 23 squared errors are mostly 0.6 to 1.7 times what σ predicts (docs/formats.md).
 ///
 /// An intra-coded picture has only the rounding of each coefficient: κ = 1/12.
-pub(crate) const fn coder_variance(step: f64, predicted: bool) -> f64 {
+pub(in crate::track) const fn coder_variance(step: f64, predicted: bool) -> f64 {
     let kappa = if predicted { PREDICTED } else { ROUNDED };
     kappa * step * step
 }
@@ -149,7 +149,7 @@ const ROUNDED: f64 = 1.0 / 12.0;
 /// chroma shows its ends, which a coder smears also at rest: in two recordings of two scenes each the variance was 0.2
 /// step² (0.09 to 0.28). Where the contrast of an end or an outline is not above the step it is several times that
 /// (docs/formats.md): the coder need not code it at all.
-pub(crate) const AT_REST: [f64; 2] = [ROUNDED / PREDICTED, 0.2 / PREDICTED];
+pub(in crate::track) const AT_REST: [f64; 2] = [ROUNDED / PREDICTED, 0.2 / PREDICTED];
 
 #[cfg(test)]
 mod tests {

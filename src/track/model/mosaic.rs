@@ -28,7 +28,7 @@ const BESIDE_PX: u32 = REACH_PX - 1;
 
 /// A mosaic of filters, which repeats every two pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Mosaic {
+pub(in crate::track) struct Mosaic {
     /// Column and row, modulo 2, of the pixels that see red.
     red: [usize; 2],
 }
@@ -40,10 +40,10 @@ type Filter = [i32; 6];
 impl Mosaic {
     /// That of the simulated sensor.
     #[cfg(test)]
-    pub(crate) const SIMULATED: Self = Self { red: [0, 0] };
+    pub(in crate::track) const SIMULATED: Self = Self { red: [0, 0] };
 
     /// The channel that a pixel sees: 0 red, 1 green, 2 blue.
-    pub(crate) fn channel(self, [x, y]: [usize; 2]) -> u8 {
+    pub(in crate::track) fn channel(self, [x, y]: [usize; 2]) -> u8 {
         match [x % 2 == self.red[0], y % 2 == self.red[1]] {
             [true, true] => 0,
             [false, false] => 2,
@@ -97,7 +97,7 @@ struct Between {
 
 /// What is known of the pictures so far.
 #[derive(Debug, Default)]
-pub(crate) struct Interpolated {
+pub(in crate::track) struct Interpolated {
     /// For each channel, and each place: column and row modulo 2.
     counts: [[[Between; 2]; 2]; 3],
     /// For each of [`MOSAICS`]: values that were not seen, and how many of them the filters give.
@@ -110,7 +110,7 @@ const MOSAICS: [Mosaic; 4] =
 
 impl Interpolated {
     /// Adds the surroundings of blobs, if the picture has R, G and B for each pixel.
-    pub(crate) fn add(&mut self, picture: &Picture, blobs: &[Blob]) {
+    pub(in crate::track) fn add(&mut self, picture: &Picture, blobs: &[Blob]) {
         if picture.format().is_yuv() || self.counts[0].as_flattened().iter().all(|count| count.pixels >= ENOUGH) {
             return;
         }
@@ -158,7 +158,7 @@ impl Interpolated {
     }
 
     /// The mosaic, if there is one.
-    pub(crate) fn mosaic(&self) -> Option<Mosaic> {
+    pub(in crate::track) fn mosaic(&self) -> Option<Mosaic> {
         let is_filtered = |[all, given]: [u32; 2]| all >= 8 * FEWEST && is_part(given, all, INTERPOLATED);
         let mut all = MOSAICS.into_iter().zip(self.filtered);
         Some(all.find(|(mosaic, filtered)| self.is_linear(*mosaic) || is_filtered(*filtered))?.0)

@@ -7,7 +7,7 @@ use crate::track::model::stretch::Group;
 use nalgebra::Vector3;
 
 /// Separation of a band's fitted colour from the most similar of its neighbours and background.
-pub(crate) fn separation(
+pub(in crate::track) fn separation(
     rig: &Rig,
     encoding: &Encoding,
     group: &Group,
@@ -26,6 +26,6 @@ pub(crate) fn separation(
 }
 
 /// The least [`separation`] of a group's bands in a view.
-pub(crate) fn least(rig: &Rig, encoding: &Encoding, group: &Group, view: usize, colours: &[f64]) -> f64 {
+pub(in crate::track) fn least(rig: &Rig, encoding: &Encoding, group: &Group, view: usize, colours: &[f64]) -> f64 {
     (0..group.members.len()).map(|i| separation(rig, encoding, group, i, view, colours)).fold(f64::INFINITY, f64::min)
 }

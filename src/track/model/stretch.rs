@@ -23,7 +23,7 @@ const BEYOND_DIAMETERS: f64 = 0.8;
 
 /// What is fitted: a stretch of tube with one or more bands.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Stretch {
+pub(in crate::track) struct Stretch {
     pub layout: Layout,
     /// Arc lengths between which samples are used, metres.
     pub range_m: (f64, f64),
@@ -34,7 +34,7 @@ pub(crate) struct Stretch {
 
 /// Bands fitted together.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Group {
+pub(in crate::track) struct Group {
     /// The markers, along the tube, each with the arc length of its middle from that of the first reference, metres.
     pub members: Vec<(usize, f64)>,
     /// The marker whose tangent is a parameter.
@@ -46,7 +46,7 @@ pub(crate) struct Group {
 
 /// Groups the markers that were found. `together` tells for two markers whether at least two views show both, and for
 /// one marker given twice whether it was found: a group needs two views that show all of it.
-pub(crate) fn groups(rig: &Rig, together: impl Fn(usize, usize) -> bool) -> Vec<Group> {
+pub(in crate::track) fn groups(rig: &Rig, together: impl Fn(usize, usize) -> bool) -> Vec<Group> {
     let coil = rig.catheter.coil;
     let mut joined = vec![false; rig.markers.len()];
     let mut groups = Vec::new();

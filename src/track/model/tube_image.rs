@@ -8,11 +8,11 @@ use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Vector2, Vector3};
 
 /// Number of local quantities that change with the shape: position across the axis, position along it, bulge of the
 /// rings.
-pub(crate) const LOCAL: usize = 3;
+pub(super) const LOCAL: usize = 3;
 
 /// Image of one point of the centre line.
 #[derive(Debug, Clone)]
-pub(crate) struct Knot {
+pub(in crate::track) struct Knot {
     /// Arc length, metres.
     pub arc_m: f64,
     /// Pixel.
@@ -38,12 +38,12 @@ pub(crate) struct Knot {
 
 impl Knot {
     /// d pixel / d point, pixels per metre.
-    pub(crate) fn d_point(&self) -> &Matrix2x3<f64> {
+    pub(in crate::track) fn d_point(&self) -> &Matrix2x3<f64> {
         &self.projected.d_pixel
     }
 
     /// Unit vectors across the axis and along it, in the picture.
-    pub(crate) fn axes(&self) -> [Vector2<f64>; 2] {
+    pub(in crate::track) fn axes(&self) -> [Vector2<f64>; 2] {
         let along = self.along / self.scale;
         [Vector2::new(-along.y, along.x), along]
     }
@@ -54,7 +54,7 @@ const LINEAR_M: f64 = 0.2e-3;
 
 /// Motion of the tube during the exposure: a fraction of its motion since an earlier frame.
 #[derive(Debug, Clone)]
-pub(crate) struct Sweep {
+pub(in crate::track) struct Sweep {
     /// Where it was.
     pub before: TubeShape,
     /// Exposure over the time since.
@@ -70,7 +70,7 @@ impl Sweep {
 
 /// Image of the centre line between two arc lengths, as equidistant knots.
 #[derive(Debug, Clone)]
-pub(crate) struct TubeImage {
+pub(in crate::track) struct TubeImage {
     /// Arc length of the first knot, metres.
     pub first_m: f64,
     /// Distance of the knots, metres.
@@ -87,7 +87,7 @@ impl TubeImage {
     ///
     /// # Errors
     /// [`NoRay`] when a part of it cannot be seen in this view.
-    pub(crate) fn of(
+    pub(in crate::track) fn of(
         shape: &TubeShape,
         radius_m: f64,
         optics: &OpticalPath,
@@ -188,34 +188,34 @@ impl TubeImage {
     }
 
     /// RMS distance between the knots of two images of the same stretch, pixels.
-    pub(crate) fn distance(&self, other: &Self) -> f64 {
+    pub(in crate::track) fn distance(&self, other: &Self) -> f64 {
         let apart = self.knots.iter().zip(&other.knots).map(|(a, b)| (a.pixel - b.pixel).norm_squared());
         (apart.sum::<f64>() / self.knots.len() as f64).sqrt()
     }
 
     /// Arc length of a knot coordinate, metres.
-    pub(crate) fn arc_m(&self, knot: f64) -> f64 {
+    pub(in crate::track) fn arc_m(&self, knot: f64) -> f64 {
         self.first_m + knot * self.spacing_m
     }
 
     /// The axis between a knot and the next: the powers' coefficients in the fraction of the way, pixels.
-    pub(crate) fn piece(&self, knot: usize) -> &[Vector2<f64>; 4] {
+    pub(in crate::track) fn piece(&self, knot: usize) -> &[Vector2<f64>; 4] {
         &self.pieces[knot]
     }
 
     /// Knot coordinate of an arc length.
-    pub(crate) fn knot_of(&self, s_m: f64) -> f64 {
+    pub(in crate::track) fn knot_of(&self, s_m: f64) -> f64 {
         (s_m - self.first_m) / self.spacing_m
     }
 
     /// The knot nearest to an arc length.
-    pub(crate) fn at_arc(&self, s_m: f64) -> &Knot {
+    pub(in crate::track) fn at_arc(&self, s_m: f64) -> &Knot {
         let i = self.knot_of(s_m).round().clamp(0.0, (self.knots.len() - 1) as f64);
         &self.knots[i as usize]
     }
 
     /// The point of the tube's outline at a knot coordinate: `side` 1 or −1 half widths across.
-    pub(crate) fn beside(&self, knot: f64, side: f64) -> Point2<f64> {
+    pub(in crate::track) fn beside(&self, knot: f64, side: f64) -> Point2<f64> {
         let (at, d) = self.axis(knot);
         let along = d / d.norm();
         at + Vector2::new(-along.y, along.x) * (side * self.half_width(knot))

@@ -13,28 +13,28 @@ use nalgebra::{Const, Dyn, Matrix3, Matrix3x2, OMatrix, Point3, SMatrix, SVector
 
 /// Number of derivatives of the curvature with respect to arc length on one side of the straight part: first and
 /// second.
-pub(crate) const BENDS: usize = 2;
+pub(in crate::track) const BENDS: usize = 2;
 
 /// Index of the bends above and below the straight part among the parameters.
 const ABOVE: usize = 5;
 const BELOW: usize = ABOVE + 2 * BENDS;
 
 /// Number of shape parameters: centre (3), tangent (2), bends above and below (2 each).
-pub(crate) const SHAPE: usize = BELOW + 2 * BENDS;
+pub(in crate::track) const SHAPE: usize = BELOW + 2 * BENDS;
 
 /// Power of σ with the first bend: the turn has σ² / 2! with it and σ³ / 3! with the second.
 const POWER: usize = 2;
 const FACTORIALS: [f64; BENDS] = [2.0, 6.0];
 
 /// Shape parameters (rows) by any number of others.
-pub(crate) type ShapeBy = OMatrix<f64, Const<SHAPE>, Dyn>;
+pub(in crate::track) type ShapeBy = OMatrix<f64, Const<SHAPE>, Dyn>;
 
 /// A vector of shape parameters' increments.
-pub(crate) type ShapeStep = SVector<f64, SHAPE>;
+pub(in crate::track) type ShapeStep = SVector<f64, SHAPE>;
 
 /// A stretch of tube.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct TubeShape {
+pub(in crate::track) struct TubeShape {
     /// Middle of the reference band on the centre line, camera frame, metres.
     pub centre: Point3<f64>,
     /// Orthonormal: columns n1, n2 (across) and t (tangent of the reference band, base to tip).
@@ -49,7 +49,7 @@ pub(crate) struct TubeShape {
 
 impl TubeShape {
     /// A straight tube through `centre` along `direction`.
-    pub(crate) fn straight(centre: Point3<f64>, direction: &Vector3<f64>, straight_half_m: f64) -> Self {
+    pub(in crate::track) fn straight(centre: Point3<f64>, direction: &Vector3<f64>, straight_half_m: f64) -> Self {
         let t = direction.normalize();
         let helper = if t.x.abs() < 0.6 { Vector3::x() } else { Vector3::z() };
         let n1 = t.cross(&helper).normalize();
@@ -64,17 +64,17 @@ impl TubeShape {
     }
 
     /// Tangent of the reference band.
-    pub(crate) fn tangent(&self) -> Vector3<f64> {
+    pub(in crate::track) fn tangent(&self) -> Vector3<f64> {
         self.frame.column(2).into()
     }
 
     /// The two unit vectors across the tangent.
-    pub(crate) fn across(&self) -> Matrix3x2<f64> {
+    pub(in crate::track) fn across(&self) -> Matrix3x2<f64> {
         self.frame.fixed_columns::<2>(0).into()
     }
 
     /// The bends among the parameters, the others zero.
-    pub(crate) fn bends(&self) -> ShapeStep {
+    pub(in crate::track) fn bends(&self) -> ShapeStep {
         let mut parameters = ShapeStep::zeros();
         for (i, bend) in self.above.iter().chain(&self.below).enumerate() {
             parameters.fixed_rows_mut::<2>(ABOVE + 2 * i).copy_from(bend);
@@ -83,7 +83,7 @@ impl TubeShape {
     }
 
     /// Point of the centre line at arc length `s`, its direction, and d point / d parameters.
-    pub(crate) fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>, SMatrix<f64, 3, SHAPE>) {
+    pub(in crate::track) fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>, SMatrix<f64, 3, SHAPE>) {
         let n = self.across();
         let t = self.tangent();
         let (sigma, first, bends) = self.beyond(s);
@@ -115,7 +115,7 @@ impl TubeShape {
     }
 
     /// d direction / d parameters at arc length `s`, to first order in the angle φ that the tube has turned by.
-    pub(crate) fn d_direction(&self, s: f64) -> SMatrix<f64, 3, SHAPE> {
+    pub(super) fn d_direction(&self, s: f64) -> SMatrix<f64, 3, SHAPE> {
         let (sigma, first, _) = self.beyond(s);
         let by: [f64; BENDS] = std::array::from_fn(|i| sigma.powi((i + POWER) as i32) / FACTORIALS[i]);
         let d_turn = self.across() - self.tangent() * self.turn(s).transpose();
@@ -128,13 +128,13 @@ impl TubeShape {
     }
 
     /// Angle φ by which the direction has turned at arc length `s`, radians.
-    pub(crate) fn turn(&self, s: f64) -> Vector2<f64> {
+    pub(in crate::track) fn turn(&self, s: f64) -> Vector2<f64> {
         let (sigma, _, bends) = self.beyond(s);
         (0..BENDS).map(|i| bends[i] * (sigma.powi((i + POWER) as i32) / FACTORIALS[i])).sum()
     }
 
     /// The step that moves its centre and tangent to those of another shape.
-    pub(crate) fn step_to(&self, other: &Self) -> ShapeStep {
+    pub(in crate::track) fn step_to(&self, other: &Self) -> ShapeStep {
         let (t, across) = (other.tangent(), self.across().tr_mul(&other.tangent()));
         let tilt = across.try_normalize(0.0).map_or(across, |way| way * across.norm().atan2(t.dot(&self.tangent())));
         let mut step = ShapeStep::zeros();
@@ -150,7 +150,7 @@ impl TubeShape {
     }
 
     /// The shape moved by a step of its parameters.
-    pub(crate) fn moved(&self, step: &ShapeStep) -> Self {
+    pub(in crate::track) fn moved(&self, step: &ShapeStep) -> Self {
         let tilt = Vector2::new(step[3], step[4]);
         // Rotation that takes t to t + N·tilt (to first order) without turning about t, so that curvatures keep their
         // axes.

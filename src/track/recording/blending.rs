@@ -31,7 +31,7 @@ const MAJORITY: i32 = 6;
 
 /// What pictures show of earlier ones.
 #[derive(Debug)]
-pub(crate) struct Blending {
+pub(in crate::track) struct Blending {
     way: f64,
     trials: Trials,
     /// Frames for more over those for less since the last decision.
@@ -46,19 +46,19 @@ impl Default for Blending {
 
 impl Blending {
     /// Whether the pictures are blended.
-    pub(crate) fn is_seen(&self) -> bool {
+    pub(in crate::track) fn is_seen(&self) -> bool {
         self.way > LEAST
     }
 
     /// The ways with which a frame is to be fitted too, less and more, if it is; in ways since the last frame, by which
     /// its coil moved so many pixels.
-    pub(crate) fn tries(&mut self, stamp: Timestamp, moved_px: f64) -> Option<[f64; 2]> {
+    pub(in crate::track) fn tries(&mut self, stamp: Timestamp, moved_px: f64) -> Option<[f64; 2]> {
         let counts = MOTION_PX.contains(&moved_px) && self.trials.are_due(stamp);
         counts.then(|| [self.way / STEP, self.way * STEP])
     }
 
     /// Adds the misfits of that frame with less and with more; whether the pictures are now known to be blended.
-    pub(crate) fn add(&mut self, [less, more]: [f64; 2]) -> bool {
+    pub(in crate::track) fn add(&mut self, [less, more]: [f64; 2]) -> bool {
         let is_more = more < less - CLEAR;
         if is_more {
             self.majority += 1;
@@ -81,7 +81,7 @@ impl Blending {
     }
 
     /// How late what moves may be shown, frames.
-    pub(crate) fn late(&self) -> f64 {
+    pub(in crate::track) fn late(&self) -> f64 {
         if self.is_seen() { self.way / 12_f64.sqrt() } else { 0.0 }
     }
 }

@@ -4,15 +4,15 @@ use crate::source::{Picture, PixelFormat, Window};
 use std::collections::{BTreeMap, VecDeque};
 
 /// Side of a block: that of a JPEG's; coders that predict have such or larger ones.
-pub(crate) const SIDE: usize = 8;
+pub(super) const SIDE: usize = 8;
 /// Surroundings of a band that are looked at, pixels.
 const AROUND_PX: u32 = 16;
 
 /// The samples of a block, row after row.
-pub(crate) type Block = [u8; SIDE * SIDE];
+pub(super) type Block = [u8; SIDE * SIDE];
 
 /// The sum of the differences of all samples, and that of their squares.
-pub(crate) fn differences(one: &Block, other: &Block) -> (i32, i32) {
+pub(super) fn differences(one: &Block, other: &Block) -> (i32, i32) {
     let differences = one.iter().zip(other).map(|(a, b)| i32::from(*a) - i32::from(*b));
     differences.fold((0, 0), |(sum, squares), d| (sum + d, squares + d * d))
 }
@@ -24,7 +24,7 @@ const EARLIER: usize = 4;
 
 /// The blocks of the last frames.
 #[derive(Debug, Default)]
-pub(crate) struct Blocks {
+pub(in crate::track) struct Blocks {
     last: BTreeMap<[u32; 2], Last>,
     frames: u64,
     compared: u32,
@@ -39,7 +39,7 @@ struct Last {
 
 /// A block, the same in the frame before, and four frames before.
 #[derive(Debug)]
-pub(crate) struct Compared {
+pub(in crate::track) struct Compared {
     /// The pixel at which it begins.
     pub corner: [u32; 2],
     pub now: Block,
@@ -50,7 +50,7 @@ pub(crate) struct Compared {
 impl Blocks {
     /// Adds a picture: luma, or green, of all blocks around windows. What it is compared with; nothing once enough was,
     /// and for one that shows the picture before `again`, which tells nothing and is asked only until then.
-    pub(crate) fn add(
+    pub(in crate::track) fn add(
         &mut self,
         picture: &Picture,
         windows: impl Iterator<Item = Window>,

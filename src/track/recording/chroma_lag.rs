@@ -28,7 +28,7 @@ const FRAMES: f64 = 60.0;
 
 /// What pictures have shown so far.
 #[derive(Debug, Default)]
-pub(crate) struct Lag {
+pub(in crate::track) struct Lag {
     views: Vec<Slips>,
     seen: bool,
 }
@@ -55,7 +55,7 @@ impl Slips {
 impl Lag {
     /// Begins a frame in which the tube has moved so far in the views, pixels. What was seen fades only in frames that
     /// tell.
-    pub(crate) fn begin(&mut self, ways_px: &[Vector2<f64>]) {
+    pub(in crate::track) fn begin(&mut self, ways_px: &[Vector2<f64>]) {
         if !ways_px.iter().any(|way_px| MOTION_PX.contains(&way_px.norm())) {
             return;
         }
@@ -70,7 +70,7 @@ impl Lag {
     }
 
     /// Adds the frame in a view: the slip of its chroma, and how far its tube has moved since the last one, pixels.
-    pub(crate) fn add(&mut self, view: usize, slip: &Seen, way_px: &Vector2<f64>) {
+    pub(in crate::track) fn add(&mut self, view: usize, slip: &Seen, way_px: &Vector2<f64>) {
         if !MOTION_PX.contains(&way_px.norm()) {
             return;
         }
@@ -96,12 +96,12 @@ impl Lag {
     }
 
     /// Whether chroma was ever late.
-    pub(crate) fn is_seen(&self) -> bool {
+    pub(in crate::track) fn is_seen(&self) -> bool {
         self.seen
     }
 
     /// How late chroma may be, frames.
-    pub(crate) fn late(&self) -> f64 {
+    pub(in crate::track) fn late(&self) -> f64 {
         if self.seen { self.frames().0.max(0.0) / SEEN } else { 0.0 }
     }
 }

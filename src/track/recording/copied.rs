@@ -35,7 +35,7 @@ const CLEAR_SD: f64 = 3.0;
 
 /// The blocks so far.
 #[derive(Debug, Default)]
-pub(crate) struct Copied {
+pub(in crate::track) struct Copied {
     blocks: BTreeMap<[u32; 2], Count>,
     from: Option<Quantisation>,
 }
@@ -69,12 +69,12 @@ impl Count {
 
 impl Copied {
     /// What is assumed of the first coder's quantisation, if the pictures are a copy.
-    pub(crate) fn from(&self) -> Option<&Quantisation> {
+    pub(in crate::track) fn from(&self) -> Option<&Quantisation> {
         self.from.as_ref()
     }
 
     /// Adds the blocks of a picture whose coder does not predict.
-    pub(crate) fn add(&mut self, picture: &Picture, blocks: &[Compared]) {
+    pub(in crate::track) fn add(&mut self, picture: &Picture, blocks: &[Compared]) {
         let own = picture.quantisation();
         if blocks.is_empty() || self.from.is_some() {
             return;

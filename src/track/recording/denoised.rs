@@ -32,7 +32,7 @@ const BEHIND_PX: f64 = 0.25;
 
 /// What pictures have shown so far.
 #[derive(Debug, Default)]
-pub(crate) struct Denoised {
+pub(in crate::track) struct Denoised {
     blocks: BTreeMap<[u32; 2], Noise>,
     /// How many frames a mean over time reaches back.
     back: Option<f64>,
@@ -65,17 +65,17 @@ fn squares(one: &Block, other: &Block) -> f64 {
 
 impl Denoised {
     /// Whether noise was reduced over time.
-    pub(crate) fn is_seen(&self) -> bool {
+    pub(in crate::track) fn is_seen(&self) -> bool {
         self.back.is_some()
     }
 
     /// How late a position is shown that has moved so many metres since the last frame, frames.
-    pub(crate) fn late(&self, way_m: f64) -> f64 {
+    pub(in crate::track) fn late(&self, way_m: f64) -> f64 {
         self.back.map_or(0.0, |back| back.min(BEHIND_PX * self.pixel_m / way_m))
     }
 
     /// Adds the blocks of a picture whose coder does not predict.
-    pub(crate) fn add(&mut self, blocks: &[Compared]) {
+    pub(in crate::track) fn add(&mut self, blocks: &[Compared]) {
         if blocks.is_empty() || self.back.is_some() {
             return;
         }

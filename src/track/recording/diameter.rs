@@ -34,7 +34,7 @@ const LEAST: f64 = 0.1;
 const MAX_SPREAD: f64 = 0.25;
 
 /// The diameter that the bands show.
-pub(crate) struct Diameter {
+pub(in crate::track) struct Diameter {
     rig_m: f64,
     /// The mean width of each band in each view.
     widths: ByBand<Mean>,
@@ -63,13 +63,13 @@ struct Mean {
 }
 
 impl Diameter {
-    pub(crate) fn of(rig: &Rig) -> Self {
+    pub(in crate::track) fn of(rig: &Rig) -> Self {
         let (rig_m, widths) = (rig.catheter.diameter_m, ByBand::new(rig, |_, _| Mean::default()));
         Self { rig_m, widths, times: 1.0, tries: Vec::new(), rounds: 0, spread: None, is_better: false }
     }
 
     /// Adds what a frame shows.
-    pub(crate) fn add(&mut self, estimate: &Estimate) {
+    pub(in crate::track) fn add(&mut self, estimate: &Estimate) {
         for (m, marker) in estimate.markers.iter().enumerate() {
             let seen = marker.views.iter().enumerate().filter_map(|(v, view)| Some((v, view.as_ref().ok()?.width)));
             for (v, width) in seen.filter(|(_, width)| width.is_finite()) {
@@ -82,7 +82,7 @@ impl Diameter {
     }
 
     /// The diameter with which the coil is to be fitted once more, over the rig's, if it is.
-    pub(crate) fn tried(&self) -> Option<f64> {
+    pub(in crate::track) fn tried(&self) -> Option<f64> {
         if self.spread.is_some() || self.rounds == MAX_ROUNDS {
             return None;
         }
@@ -93,7 +93,7 @@ impl Diameter {
     }
 
     /// Adds that fit, and those with the rig's diameter and another blur.
-    pub(crate) fn add_tried(&mut self, fit: &TubeFit, blurred: &[TubeFit]) {
+    pub(in crate::track) fn add_tried(&mut self, fit: &TubeFit, blurred: &[TubeFit]) {
         let beyond = fit.views.iter().flat_map(|view| {
             let half_px = view.image.at_arc(0.0).half_width;
             view.widths.iter().map(move |width| width.beyond_px / half_px)
@@ -122,7 +122,7 @@ impl Diameter {
     }
 
     /// What is wrong with the rig's diameter, if anything is.
-    pub(crate) fn doubt(&self) -> Option<String> {
+    pub(in crate::track) fn doubt(&self) -> Option<String> {
         let (off, rig_mm) = (self.times - 1.0, self.rig_m * 1e3);
         if off.abs() < LEAST || self.spread? > MAX_SPREAD * off.abs() || !self.is_better {
             return None;

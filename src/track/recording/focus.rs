@@ -35,7 +35,7 @@ const SAME_PX: f64 = 0.7;
 
 /// The blur of the pictures in each view.
 #[derive(Debug)]
-pub(crate) struct Focus {
+pub(in crate::track) struct Focus {
     blurs_px: Vec<f64>,
     /// The fastest motion of frames that count, pixels per frame.
     fastest_px: f64,
@@ -50,7 +50,7 @@ pub(crate) struct Focus {
 
 impl Focus {
     /// Beginning with that of the rig, where motion blur is modelled if the exposure is known.
-    pub(crate) fn of(rig: &Rig) -> Self {
+    pub(in crate::track) fn of(rig: &Rig) -> Self {
         let blurs_px = rig.blurs_px().map(|blur_px| blur_px.unwrap_or(DEFAULT_BLUR_PX)).collect();
         Self::new(blurs_px, rig.camera.exposure_s.is_some())
     }
@@ -63,28 +63,28 @@ impl Focus {
     }
 
     /// Of the pictures in each view, pixels.
-    pub(crate) fn blurs_px(&self) -> &[f64] {
+    pub(in crate::track) fn blurs_px(&self) -> &[f64] {
         &self.blurs_px
     }
 
     /// Of the view that is blurred most.
-    pub(crate) fn most_px(&self) -> f64 {
+    pub(in crate::track) fn most_px(&self) -> f64 {
         self.blurs_px.iter().copied().fold(0.0, f64::max)
     }
 
     /// Whether it is no longer that of the rig.
-    pub(crate) fn has_changed(&self) -> bool {
+    pub(in crate::track) fn has_changed(&self) -> bool {
         self.followed
     }
 
     /// The blurs with which a frame is to be fitted too, less and more, if it is; its coil moved so many pixels.
-    pub(crate) fn tries(&mut self, stamp: Timestamp, moved_px: f64) -> Option<[Vec<f64>; 2]> {
+    pub(in crate::track) fn tries(&mut self, stamp: Timestamp, moved_px: f64) -> Option<[Vec<f64>; 2]> {
         let counts = moved_px <= self.fastest_px && self.trials.are_due(stamp);
         counts.then(|| [-STEP, STEP].map(|by| self.blurs_px.iter().map(|blur_px| blur_px * by.exp()).collect()))
     }
 
     /// Adds the fits of that frame in some views with less and with more blur; whether the blur moves.
-    pub(crate) fn moves(&mut self, views: &[usize], fit: &TubeFit, [less, more]: [&TubeFit; 2]) -> bool {
+    pub(in crate::track) fn moves(&mut self, views: &[usize], fit: &TubeFit, [less, more]: [&TubeFit; 2]) -> bool {
         let is_same = |other: &TubeFit| {
             let place = |view: &ViewFit| view.image.at_arc(0.0).pixel;
             fit.views.iter().zip(&other.views).all(|(a, b)| (place(a) - place(b)).norm() < SAME_PX)

@@ -36,7 +36,7 @@ const HALF: f64 = 128.0;
 
 /// Follows a lamp.
 #[derive(Debug, Clone)]
-pub(crate) struct Lamp {
+pub(in crate::track) struct Lamp {
     spot: Spot,
     /// The count, and how bright the disc is with it.
     now: Option<(u8, f64)>,
@@ -52,17 +52,17 @@ pub(crate) struct Lamp {
 }
 
 impl Lamp {
-    pub(crate) fn new(spot: Spot) -> Self {
+    pub(in crate::track) fn new(spot: Spot) -> Self {
         Self { spot, now: None, other: None, variance: 0.0, before: 0.0, between: 0.0, relearned: false }
     }
 
     /// Whether levels were found to have changed, and learned anew.
-    pub(crate) fn has_changed(&self) -> bool {
+    pub(in crate::track) fn has_changed(&self) -> bool {
         self.relearned
     }
 
     /// The count in this picture; `None` where the lamp was not recorded.
-    pub(crate) fn step(&mut self, picture: &Picture) -> Option<Tick> {
+    pub(in crate::track) fn step(&mut self, picture: &Picture) -> Option<Tick> {
         let level = brightness(picture, self.spot)?;
         let count = self.take(level);
         Some(Tick { count, level, spot: self.spot })

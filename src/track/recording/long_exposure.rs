@@ -10,19 +10,19 @@ pub(crate) const LONGEST_EXPOSURE: f64 = 1.1;
 const STEPS: u32 = 10;
 
 /// Compares the exposure with the steps from frame to frame.
-pub(crate) struct LongExposure {
+pub(in crate::track) struct LongExposure {
     exposure_s: Option<f64>,
     steps: u32,
 }
 
 impl LongExposure {
     /// For the exposure of a rig, seconds.
-    pub(crate) fn of(exposure_s: Option<f64>) -> Self {
+    pub(in crate::track) fn of(exposure_s: Option<f64>) -> Self {
         Self { exposure_s, steps: 0 }
     }
 
     /// Takes the time of a frame, and of the one before.
-    pub(crate) fn add(&mut self, now: Timestamp, before: Timestamp) {
+    pub(in crate::track) fn add(&mut self, now: Timestamp, before: Timestamp) {
         let step_s = now.seconds_since(before);
         let is_short = self.exposure_s.is_some_and(|exposure_s| step_s > 0.0 && exposure_s > LONGEST_EXPOSURE * step_s);
         if !self.is_seen() {
@@ -31,7 +31,7 @@ impl LongExposure {
     }
 
     /// Whether it is too long.
-    pub(crate) fn is_seen(&self) -> bool {
+    pub(in crate::track) fn is_seen(&self) -> bool {
         self.steps >= STEPS
     }
 }

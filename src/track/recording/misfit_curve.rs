@@ -55,12 +55,12 @@ pub(crate) fn mean_with_sd(values: &[f64]) -> (f64, f64) {
 
 impl Distance {
     /// Whether it is more than this, and no chance.
-    pub(crate) fn exceeds(&self, least: f64) -> bool {
+    pub(super) fn exceeds(&self, least: f64) -> bool {
         self.log.abs() > least && self.log.abs() > SIGNIFICANT_SD * self.chance_sd
     }
 
     /// Whether another is further than this away, and that is no chance.
-    pub(crate) fn differs(&self, other: &Self, least: f64) -> bool {
+    pub(super) fn differs(&self, other: &Self, least: f64) -> bool {
         let off = (self.log - other.log).abs();
         off > least && off > SIGNIFICANT_SD * self.sd.hypot(other.sd)
     }

@@ -19,13 +19,13 @@ const BESIDE_PX: u32 = 2;
 
 /// Squared changes of chroma from a pixel to the next: from an even column, and from an odd one.
 #[derive(Debug, Default)]
-pub(crate) struct Pairs {
+pub(in crate::track) struct Pairs {
     changes: [f64; 2],
 }
 
 impl Pairs {
     /// Adds the surroundings of blobs, if the picture has full chroma.
-    pub(crate) fn add(&mut self, picture: &Picture, blobs: &[Blob]) {
+    pub(in crate::track) fn add(&mut self, picture: &Picture, blobs: &[Blob]) {
         for blob in blobs {
             // Other pictures tell nothing.
             let _ = self.add_window(picture, &blob.bounds);
@@ -60,7 +60,7 @@ impl Pairs {
 
     /// Whether both pixels of each pair have the same chroma. Pictures that were cut may begin with the second of a
     /// pair.
-    pub(crate) fn are_alike(&self) -> bool {
+    pub(in crate::track) fn are_alike(&self) -> bool {
         let [even, odd] = self.changes;
         even.max(odd) > LEAST_BETWEEN && even.min(odd) < MOST_WITHIN * even.max(odd)
     }

@@ -24,14 +24,14 @@ const EVEN: f64 = 1.5;
 
 /// The last places of the markers.
 #[derive(Debug, Default)]
-pub(crate) struct Order {
+pub(in crate::track) struct Order {
     markers: Vec<VecDeque<Place>>,
     wrong: bool,
 }
 
 impl Order {
     /// Adds an estimate before any of its positions is refused as implausible.
-    pub(crate) fn add(&mut self, estimate: &Estimate) {
+    pub(in crate::track) fn add(&mut self, estimate: &Estimate) {
         self.markers.resize_with(estimate.markers.len(), VecDeque::new);
         for (places, marker) in self.markers.iter_mut().zip(&estimate.markers) {
             let Ok(position) = &marker.position else {
@@ -47,7 +47,7 @@ impl Order {
     }
 
     /// Whether pictures came in the wrong order.
-    pub(crate) fn is_wrong(&self) -> bool {
+    pub(in crate::track) fn is_wrong(&self) -> bool {
         self.wrong
     }
 }

@@ -36,7 +36,7 @@ const FORETOLD: f64 = 0.45;
 
 /// The last picture that was measured.
 #[derive(Debug, Default)]
-pub(crate) struct Repeats {
+pub(in crate::track) struct Repeats {
     last: Option<Shown>,
     bands: Vec<Band>,
     /// Whether the bands have stood still since then.
@@ -153,19 +153,19 @@ impl Band {
 impl Repeats {
     /// Whether a picture, `predicted` from others or not, shows again what the last one showed, and cannot be of its
     /// own time.
-    pub(crate) fn is_repeated(&self, picture: &Picture, stamp: Timestamp, predicted: bool) -> bool {
+    pub(in crate::track) fn is_repeated(&self, picture: &Picture, stamp: Timestamp, predicted: bool) -> bool {
         let Some(last) = self.last.as_ref().filter(|last| last.moving) else { return false };
         (!predicted || is_recent(stamp, last.stamp)) && self.shows_again(picture)
     }
 
     /// Whether a picture is equal to the last one, to the last bit, wherever a band was.
-    pub(crate) fn shows_again(&self, picture: &Picture) -> bool {
+    pub(in crate::track) fn shows_again(&self, picture: &Picture) -> bool {
         self.last.as_ref().is_some_and(|last| checksum(picture, &last.windows) == Some(last.checksum))
     }
 
     /// Whether the bands of a picture are where they were in the last one that was measured, although they moved: it
     /// repeats that one, coded again or with other noise. Asked of every picture, before it is remembered.
-    pub(crate) fn stands_still(&mut self, estimate: &Estimate) -> bool {
+    pub(in crate::track) fn stands_still(&mut self, estimate: &Estimate) -> bool {
         let recent = self.last.as_ref().is_some_and(|last| is_recent(estimate.stamp, last.stamp));
         let courses = self.bands.iter().zip(places(estimate)).filter_map(|(band, place)| Some(band.course(&place?)));
         let courses: Vec<Course> = courses.collect();
@@ -175,7 +175,7 @@ impl Repeats {
     }
 
     /// Remembers a picture that was measured, its bands in `windows`.
-    pub(crate) fn remember(&mut self, picture: &Picture, windows: Vec<Window>, estimate: &Estimate) {
+    pub(in crate::track) fn remember(&mut self, picture: &Picture, windows: Vec<Window>, estimate: &Estimate) {
         self.bands.resize(estimate.markers.len(), Band::default());
         let mut moving = false;
         for (band, place) in self.bands.iter_mut().zip(places(estimate)) {
