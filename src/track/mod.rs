@@ -1,6 +1,6 @@
 //! From blobs to an estimate: assignment, the fit of the tube to all views, the coil's tangent.
 //!
-//! A frame goes through these folders, and [`Tracker::step`] composes them (`tracker.rs`):
+//! A frame goes through these folders, and [`Tracker::step`] composes them (`tracker/`):
 //!
 //! 1. `assign/`: which blob is which band in which view;
 //! 2. `fit/`: the tube around the bands, fitted to the pictures of all views. `model/` says how a picture shows a tube,
@@ -9,7 +9,7 @@
 //! 4. `answer/`: positions, tangent and θ, with all that their covariances have to hold.
 //!
 //! `memory/` has what is usual for a band, from the frames before; `recording/` what is asked of the recording as a
-//! whole, and `warnings.rs` what is then said of it.
+//! whole, and `tracker/warnings.rs` what is then said of it.
 //!
 //! Imports go one way: from `memory`, `model` and `assign` up through `compare`, `fit` and `judge` to `recording`; and
 //! from `fit` to `answer`.
@@ -23,7 +23,6 @@ mod memory;
 mod model;
 mod recording;
 mod tracker;
-mod warnings;
 
 pub use answer::deflection::deflection;
 pub(crate) use answer::deflection::{theta_derivative, theta_derivative_by_turn};

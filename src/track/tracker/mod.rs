@@ -1,11 +1,15 @@
 //! [`Tracker`]: one frame in, one estimate out. Composes assignment, the fit of the tube, its judgement, the answer.
 
+mod calibration;
+mod following;
+mod warnings;
+mod widening;
+
 use crate::estimate::{Estimate, Miss, Spot};
 use crate::rig::Rig;
 use crate::segment::SegmentError;
 use crate::source::{Frame, Picture, PixelFormat, Timestamp, Transfer};
 use crate::track::answer;
-use crate::track::answer::carried;
 use crate::track::answer::deflection::deflection;
 use crate::track::answer::lateness::Ways;
 use crate::track::answer::moved::Moved;
@@ -13,19 +17,15 @@ use crate::track::answer::rolling_shutter::Rolling;
 use crate::track::answer::scatter::Scatter;
 use crate::track::answer::shake::Shake;
 use crate::track::assign::{Finder, Found};
-use crate::track::compare::chroma_slip::Seen;
 use crate::track::compare::interlacing::Fields;
 use crate::track::compare::sensor_noise::Grain;
 use crate::track::fit::colour_fringes::Fringes;
 use crate::track::fit::group_fit::{Fitted, GroupFitting};
 use crate::track::fit::last_fit::Last;
-use crate::track::fit::tube_fit::{TubeFit, ViewFit};
 use crate::track::judge::{Judge, Motion};
-use crate::track::memory::trials::LONGEST_STEP_S;
 use crate::track::model::functions::Encoding;
 use crate::track::model::image_model::{ImageModel, ModelError};
 use crate::track::model::mosaic::Interpolated;
-use crate::track::model::tube_shape::{ShapeStep, TubeShape};
 use crate::track::recording::blending::Blending;
 use crate::track::recording::blocks::Blocks;
 use crate::track::recording::chroma_lag::Lag;
@@ -38,19 +38,16 @@ use crate::track::recording::long_exposure::LongExposure;
 use crate::track::recording::paired_chroma::Pairs;
 use crate::track::recording::picture_order::Order;
 use crate::track::recording::repeated_pictures::Repeats;
-use crate::track::warnings::{
+use nalgebra::Vector2;
+use warnings::{
     BLENDED, COLOURS_LAG, COPIED, DENOISED, FRINGES, LAMP_CHANGED, LONG_EXPOSURE, MOVED, OTHER_TUBE, OUT_OF_FOCUS,
     OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
 };
-use nalgebra::{Matrix3, Vector2};
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
 /// models are compared, more of it tells what is noise.
 const TRACKED_PX: f64 = 4.0;
 const COMPARED_PX: f64 = 5.0;
-
-/// Blurs that may be taken for another diameter of the tube, over that of the pictures.
-const OTHER_BLURS: [f64; 3] = [0.7, 1.4, 1.8];
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -318,72 +315,6 @@ impl Tracker {
         Some(noticed + &said + new)
     }
 
-    /// Errors of the image model common to all frames so far, of which `picture` is one. Noise tells nothing of what
-    /// stays.
-    pub(crate) fn lasting_error(&self, picture: &Picture) -> ModelError {
-        self.model.error_in(picture, self.pairs.are_alike(), false).lasting().blurred(self.focus.most_px())
-    }
-
-    /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were
-    /// measured, and for a band that is fitted together with another.
-    pub(crate) fn usual_residuals(&self, marker: usize) -> Vec<f64> {
-        self.judge.usual.values(marker).unwrap_or_default()
-    }
-
-    /// How badly the tube's model fits the picture around the bands (mean ln σ² of the residuals, all groups of equal
-    /// weight); `None` when not all could be fitted. Neither uses nor changes the memory.
-    pub(crate) fn misfit(&mut self, frame: &Frame) -> Option<f64> {
-        let (found, fitted) = self.fit_alone(frame)?;
-        let misfits =
-            fitted.iter().map(|f| f.result.as_ref().map(|fit| fit.misfit).ok()).collect::<Option<Vec<_>>>()?;
-        (!misfits.is_empty() && found.is_complete()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
-    }
-
-    /// The same for a frame that closely follows another: the motion between them blurs it.
-    pub(crate) fn misfit_after(&mut self, before: &Frame, frame: &Frame) -> Option<f64> {
-        self.before.fill(None);
-        let (_, fitted) = self.fit_alone(before)?;
-        self.keep_shapes(before.stamp, &fitted);
-        let misfit = self.misfit(frame);
-        self.before.fill(None);
-        misfit
-    }
-
-    /// How far the chroma of pictures of one format lies from where the rig says, pixels (right, down): the mean over
-    /// those frames, each without any memory.
-    pub(crate) fn mean_slip_px(&mut self, frames: &[&Frame]) -> Vector2<f64> {
-        let mut slip = Seen::default();
-        for frame in frames {
-            self.views_alone(frame).for_each(|view| slip.add(&view.slip));
-        }
-        frames.first().map_or_else(Vector2::zeros, |frame| slip.mean_px_in(frame.picture.format()))
-    }
-
-    /// Whether those frames have the noise of their sensor, each without any memory; of subsampled pictures whose coder
-    /// is not known.
-    pub(crate) fn have_sensor_noise(&mut self, frames: &[&Frame]) -> bool {
-        let mut noise = Grain::default();
-        for frame in frames {
-            self.views_alone(frame).filter_map(|view| view.grain).for_each(|view| noise.add(&view));
-        }
-        noise.is_sensor()
-    }
-
-    /// All views of a frame's bands, fitted without any memory.
-    fn views_alone(&mut self, frame: &Frame) -> impl Iterator<Item = ViewFit> + use<> {
-        let fitted = self.fit_alone(frame).map_or(Vec::new(), |(_, fitted)| fitted);
-        fitted.into_iter().flat_map(|fitted| fitted.result).flat_map(|fit| fit.views)
-    }
-
-    /// Finds and fits the bands of a frame without any memory.
-    fn fit_alone(&mut self, frame: &Frame) -> Option<(Found, Vec<Fitted>)> {
-        let found = self.finder.find_alone(&self.rig, frame)?;
-        self.follow_chroma(frame.picture.format());
-        self.look_for_mosaic(&frame.picture, &found);
-        let fitted = self.fit(frame, &found, COMPARED_PX);
-        Some((found, fitted))
-    }
-
     /// Looks for the mosaic of a sensor. What its pixels saw lies where they are, also where the colours lie apart: the
     /// judge adds that to σ.
     fn look_for_mosaic(&mut self, picture: &Picture, found: &Found) {
@@ -419,103 +350,6 @@ impl Tracker {
         GroupFitting { rig, model, blurs_px, frame, found, last, usual, fringes, base_rests, margin_px }
     }
 
-    /// What the motion of the coil since the last frame tells of the pictures; how far it was, pixels, if it was seen.
-    fn look_at_motion(&mut self, stamp: Timestamp, fitted: &[Fitted]) -> Option<f64> {
-        let (of_coil, fit) = self.of_coil(fitted)?;
-        let ways_px = self.ways_px(stamp, of_coil, fit)?;
-        self.denoised.pixel_m = fit.pixel_m();
-        self.lag.begin(&ways_px);
-        for ((v, view), way_px) in of_coil.views.iter().zip(&fit.views).zip(&ways_px) {
-            let [across, _] = view.image.at_arc(0.0).axes();
-            self.fields.add(&view.rows, across.dot(way_px));
-            self.lag.add(*v, &view.slip, way_px);
-        }
-        Some(ways_px.iter().map(Vector2::norm).fold(0.0, f64::max))
-    }
-
-    /// The coil's group, if it was fitted.
-    fn of_coil<'f>(&self, fitted: &'f [Fitted]) -> Option<(&'f Fitted, &'f TubeFit)> {
-        let shows_coil = |fitted: &&Fitted| fitted.group.members.iter().any(|(m, _)| *m == self.rig.catheter.coil);
-        let of_coil = fitted.iter().find(shows_coil)?;
-        Some((of_coil, of_coil.result.as_ref().ok()?))
-    }
-
-    /// Fits the coil of some frames with less and with more blur too, of the lens or of the motion, and follows it.
-    fn follow_blur(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted], moved_px: Option<f64>) {
-        let (Some((of_coil, fit)), Some(moved_px)) = (self.of_coil(fitted), moved_px) else { return };
-        // In blended pictures what moves looks out of focus.
-        let blended = self.blending.is_seen();
-        if !blended && let Some(tries) = self.focus.tries(frame.stamp, moved_px) {
-            let with = |blurs_px: &Vec<f64>| self.fitting(frame, found, blurs_px, TRACKED_PX).again(of_coil, None);
-            if let Some([less, more]) = both(&tries, with)
-                && self.focus.moves(&of_coil.views, fit, [&less, &more])
-            {
-                self.begin_resting();
-            }
-        } else if let Some(ways) = self.blending.tries(frame.stamp, moved_px) {
-            let with =
-                |way: &f64| self.fitting(frame, found, self.focus.blurs_px(), TRACKED_PX).again(of_coil, Some(*way));
-            if let Some([less, more]) = both(&ways, with)
-                && self.blending.add([less.misfit, more.misfit])
-            {
-                self.focus = Focus::of(&self.rig);
-                self.begin_resting();
-            }
-        }
-    }
-
-    /// Fits the coil of some frames with another diameter too, if the bands do not look as wide as the rig's tube.
-    fn follow_diameter(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
-        let (Some(times), Some((of_coil, fit))) = (self.diameter.tried(), self.of_coil(fitted)) else { return };
-        let mut group = of_coil.group.clone();
-        group.stretch.radius_m *= times;
-        let other = Fitted { group, views: of_coil.views.clone(), result: Ok(fit.clone()), directed: true };
-        let blurs_px = self.focus.blurs_px();
-        let Some(fit) = self.fitting(frame, found, blurs_px, TRACKED_PX).again(&other, None) else { return };
-        let blurred = OTHER_BLURS.iter().filter_map(|times| {
-            let blurs_px: Vec<f64> = blurs_px.iter().map(|blur_px| blur_px * times).collect();
-            self.fitting(frame, found, &blurs_px, TRACKED_PX).again(of_coil, None)
-        });
-        let blurred: Vec<TubeFit> = blurred.collect();
-        self.diameter.add_tried(&fit, &blurred);
-    }
-
-    /// Widens covariances by how much late colours move the fits.
-    fn widen_by_lag(&self, stamp: Timestamp, fitted: &mut [Fitted]) {
-        let late = self.lag.late();
-        if late == 0.0 {
-            return;
-        }
-        for fitted in fitted {
-            let Ok(fit) = &fitted.result else { continue };
-            let Some(ways_px) = self.ways_px(stamp, fitted, fit) else { continue };
-            let behind = fit.views.iter().zip(&ways_px).map(|(view, way_px)| view.slip_response * (way_px * late));
-            let behind: ShapeStep = behind.sum();
-            if let Ok(fit) = &mut fitted.result {
-                fit.covariance += behind * behind.transpose();
-            }
-        }
-    }
-
-    /// How far a group's reference has moved in each view since it was last seen, pixels; `None` if that is too long
-    /// ago.
-    fn ways_px(&self, stamp: Timestamp, fitted: &Fitted, fit: &TubeFit) -> Option<Vec<Vector2<f64>>> {
-        let last = self.before[fitted.group.reference].as_ref()?;
-        last.age_within_s(LONGEST_STEP_S, stamp)?;
-        let way_px = |view: &usize| {
-            let pixel = |shape: &TubeShape| self.rig.views[*view].optics.project(&shape.centre).ok();
-            Some(pixel(&fit.shape)? - pixel(&last.shape)?)
-        };
-        fitted.views.iter().map(way_px).collect()
-    }
-
-    /// With another blur the base band moves with the model, not with the camera.
-    fn begin_resting(&mut self) {
-        self.shake.forget();
-        self.moved.forget();
-        self.diameter = Diameter::of(&self.rig);
-    }
-
     /// Remembers where the tube is, for later frames.
     fn keep_shapes(&mut self, stamp: Timestamp, fitted: &[Fitted]) {
         for Fitted { group, views, result, directed } in fitted {
@@ -525,42 +359,4 @@ impl Tracker {
             }
         }
     }
-
-    /// Widens covariances to match the scatter of positions and tangent from frame to frame, and how late they are in
-    /// blended pictures; those of positions by the shake of the base band, and its own by how far a coder that predicts
-    /// carried it. Only a rig with a base frame says that this band, the first, rests.
-    fn widen(&mut self, estimate: &mut Estimate, predicted: bool) {
-        let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
-        let base = estimate.markers.first().map(|base| &base.position);
-        let mut carried = Matrix3::zeros();
-        if let (Some(Ok(base)), Some(_)) = (base, self.rig.resting_base()) {
-            let direction = estimate.tangent.as_ref().ok().map(|tangent| &tangent.direction);
-            self.shake.add(stamp, base, direction);
-            self.moved.add(stamp, base, direction);
-            if predicted && let Some((off, covariance)) = self.moved.since_first() {
-                carried = carried::covariance(&off, &covariance);
-            }
-        }
-        let (shake, moved) = (self.shake.at(stamp), self.moved.covariance());
-        let astray = shake + moved;
-        // A coder that carries the band along moves it, too.
-        let of_base = shake + if carried.trace() > moved.trace() { carried } else { moved };
-        for (m, (marker, scatter)) in estimate.markers.iter_mut().zip(&mut self.scatter).enumerate() {
-            if let Ok(position) = &mut marker.position {
-                position.covariance *= scatter.add(stamp, position.point.coords, &position.covariance, persisting);
-                position.covariance += if m == 0 { of_base } else { astray };
-            }
-        }
-        if let (Ok(tangent), Some(scatter)) = (&mut estimate.tangent, self.scatter.last_mut()) {
-            tangent.covariance *= scatter.add(stamp, tangent.direction, &tangent.covariance, persisting);
-        }
-        let late = |way_m| self.blending.late().max(self.denoised.late(way_m));
-        self.ways.widen(estimate, self.rig.catheter.coil, late);
-    }
-}
-
-/// Fits with less and with more of something, at the same time.
-fn both<T: Sync>([less, more]: &[T; 2], with: impl Fn(&T) -> Option<TubeFit> + Sync) -> Option<[TubeFit; 2]> {
-    let (less, more) = rayon::join(|| with(less), || with(more));
-    Some([less?, more?])
 }
