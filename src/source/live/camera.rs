@@ -23,6 +23,9 @@ const WAIT: Duration = Duration::from_millis(100);
 /// A camera that is silent for this long is lost.
 const SILENCE: Duration = Duration::from_secs(5);
 
+/// Why pictures are refused whose rows are of two moments, and what helps.
+pub(super) const INTERLACED: &str = "odd and even rows are taken at different times; choose a progressive mode";
+
 /// The result of one exposure.
 pub(super) struct CapturedFrame {
     /// The frame counter.

@@ -11,7 +11,7 @@ use super::super::counter::Wrap;
 use super::super::decoded::PictureMaker;
 use super::super::host::HostClock;
 use super::super::{ChromaSiting, Clock, Picture, SourceError, Timestamp};
-use super::camera::{Camera, CapturedFrame, Connection};
+use super::camera::{Camera, CapturedFrame, Connection, INTERLACED};
 use super::samples;
 use ffmpeg_the_third::codec::Id;
 use ffmpeg_the_third::color::{Range, Space, TransferCharacteristic};
@@ -269,9 +269,7 @@ fn layout(sample: &gst::Sample) -> Result<Layout, String> {
     }
     let info = VideoInfo::from_caps(&caps).map_err(|e| e.to_string())?;
     if info.interlace_mode() != VideoInterlaceMode::Progressive {
-        let text =
-            "its pictures are interlaced: odd and even rows are taken at different times; choose a progressive mode";
-        return Err(text.to_owned());
+        return Err(format!("its pictures are interlaced: {INTERLACED}"));
     }
     let found = FORMATS.iter().find(|(_, format, _)| *format == info.format());
     let (_, _, pixel) = found.ok_or_else(|| format!("pictures of format {} are not read", info.format()))?;

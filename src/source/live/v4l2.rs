@@ -9,7 +9,7 @@ use super::super::decoded::{PictureMaker, is_damaged};
 use super::super::host::HostClock;
 use super::super::jpeg::{self, Steps};
 use super::super::{Clock, SourceError, Timestamp};
-use super::camera::{Camera, CapturedFrame, Connection};
+use super::camera::{Camera, CapturedFrame, Connection, INTERLACED};
 use super::samples;
 use super::settings::{Asked, CameraSettings};
 use super::v4l2_setup::{self as setup, Layout, Offer, letters};
@@ -284,11 +284,7 @@ fn set_format(name: &str, device: &Device, settings: &CameraSettings) -> Result<
     }
     // Drivers without a choice may leave it open.
     if !matches!(got.field_order, FieldOrder::Any | FieldOrder::Progressive) {
-        return Err(format!(
-            "its pictures are interlaced ({}): odd and even rows are taken at different times; choose a progressive \
-             mode",
-            got.field_order
-        ));
+        return Err(format!("its pictures are interlaced ({}): {INTERLACED}", got.field_order));
     }
     Ok(got)
 }
