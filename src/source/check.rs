@@ -90,14 +90,17 @@ impl PacketCheck {
 
 /// Whether a coder predicts pictures from others, and its decoder takes nearly any data for a picture.
 fn is_trusting(codec: av::codec::Id) -> bool {
-    matches!(codec, av::codec::Id::VP8 | av::codec::Id::VP9 | av::codec::Id::AV1 | av::codec::Id::THEORA)
+    matches!(
+        codec,
+        av::codec::Id::HEVC | av::codec::Id::VP8 | av::codec::Id::VP9 | av::codec::Id::AV1 | av::codec::Id::THEORA
+    )
 }
 
 impl Examiner {
     fn of(path: &Path, stream: &av::format::stream::Stream<'_>) -> Option<Self> {
         let codec = stream.parameters().id();
         if is_trusting(codec) {
-            tracing::warn!(
+            tracing::info!(
                 "{}: most damage in pictures of its coder ({}) cannot be noticed, and spreads up to the next key frame",
                 path.display(),
                 codec.name()

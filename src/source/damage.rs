@@ -244,6 +244,22 @@ mod tests {
         assert_eq!(sound, [true, false, false, false, true, true]);
     }
 
+    /// Decoders of H.264 say that they conceal; that of H.265 gives out what it has.
+    #[test]
+    fn an_error_is_damage_where_the_decoder_says_no_more() {
+        for (hides_errors, sound) in [(false, [true; 4]), (true, [true, false, false, true])] {
+            let mut log = DamageLog::new(false, hides_errors);
+            for (pts, key) in [(0, true), (1, false), (2, false), (3, true)] {
+                let number = log.packet(Some(pts), key);
+                if pts == 1 {
+                    log.heard(number, Said::Error);
+                }
+            }
+            let pictures = [0, 1, 2, 3].map(|pts| (log.picture(Some(pts), false), pts));
+            assert_eq!(pictures.map(|(number, pts)| log.is_sound(number, Some(pts))), sound);
+        }
+    }
+
     #[test]
     fn an_error_that_comes_late_is_taken_for_the_earliest_packet_it_may_mean() {
         let mut log = DamageLog::default();

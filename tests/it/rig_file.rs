@@ -498,8 +498,12 @@ fn warnings_say_what_is_missing_or_odd() {
     let grazing = grazing.replace("path = [\"side_mirror\", \"side_wall\"]", "path = [\"side_mirror\"]");
     any(&warned(&grazing), "side_mirror is met nearly edge-on (80.0°");
     assert!(!warned(RIG).iter().any(|w| w.contains("the central rays of the views")));
-    let in_cm = changed("offset_mm = -855.599205236", "offset_mm = -85.5599205236");
-    any(&warned(&in_cm), "the central rays of the views");
+    // A mirror that leans.
+    let leaning = changed(
+        "[-0.707106781187, 0.0, -0.707106781187]\noffset_mm = -855.599205236",
+        "[-0.656532164299, 0.371390676354, -0.656532164299]\noffset_mm = -794.403918801",
+    );
+    any(&warned(&leaning), "the central rays of the views");
 }
 
 #[expect(clippy::unwrap_used, reason = "called by tests only: a program that cannot be started fails them")]
