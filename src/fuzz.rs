@@ -4,8 +4,8 @@
 
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, find_boards};
-use crate::identify::plant::Plant;
-use crate::identify::saved::Saved;
+use crate::identify::data::plant::Plant;
+use crate::identify::results::saved::Saved;
 use crate::log::{Info, repair};
 use crate::rig::Rig;
 use crate::rig::check::check;

@@ -6,7 +6,7 @@ use super::results::{Results, unfinished};
 use super::units::{duration_s, seconds_ns};
 use super::{Exit, Failure, interrupt, output, provenance};
 use crate::identify::Plant;
-use crate::identify::saved::Saved;
+use crate::identify::results::saved::Saved;
 use crate::plural::plural;
 use crate::report::validation::{self, ModelLine};
 use crate::series::Recording;

@@ -1,6 +1,6 @@
 //! Why there is no model.
 
-use super::model::Orders;
+use crate::identify::model::polynomials::Orders;
 
 /// Why there is no model.
 #[derive(Debug, thiserror::Error)]

@@ -1,106 +1,58 @@
 //! Dynamic models from recorded input and output: Section III.B of the paper, and current best practice.
 //!
 //! ```text
-//!  log or table ─▶ recorded ─▶ grid ─▶ prepare ─▶ search ─▶ arx ─────────▶ reduce ─▶ continuous
-//!                  θ, current  Eq. 6   trends,    orders,   full model     fewer     H(s)
-//!                  held        holes   fewer      delay     │              states
-//!                                      samples              └ output_error, instrumental
+//!  log or table ─▶ from_recording ─▶ grid ─▶ prepare ─▶ search ─▶ arx ─────────▶ truncation ─▶ continuous
+//!                  θ, current        Eq. 6   trends,    orders,   full model     fewer         H(s)
+//!                  held              holes   fewer      delay     │              states
+//!                                            samples              └ output_error, instrumental
 //! ```
-//! For a record whose input repeats there is another method: `periodic` averages its periods and fits H(s) to the
-//! lines. `saved` reads models back, `applied` compares them with other records.
+//! A record goes through these folders:
 //!
-//! [`chain::identify`] runs it; `export::write` and `crate::report::identification` write the results. Besides the
-//! models: `spectrum` (the response without a model), `bandwidth`, `residuals`, `bootstrap`, `delay` (between the
-//! clocks), and `diagnostic` (warnings to read before using the numbers).
+//! 1. `data/`: segments on an even grid, without what is not of the system;
+//! 2. `estimate/`: models of them, each with its covariance. `solve/` has the linear algebra; `model/` says what a
+//!    model is and how well it reproduces a record; `reduce/` takes states away, also for where estimators begin;
+//! 3. `checks/`: whether to believe record and model;
+//! 4. `chain/`: all of these in their order. [`chain::steps::identify`] runs it, and its result has warnings to read
+//!    before the numbers;
+//! 5. `results/`: what is written of it (`export`; for people `crate::report::identification`), read back (`saved`),
+//!    and compared with other records (`applied`).
+//!
+//! There are two more methods: `periodic/`, a step of the chain for a record whose input repeats, averages its periods
+//! and fits H(s) to the lines; `planes/` identifies motion in two planes from several currents.
+//!
+//! Imports go one way: from `data` up through `solve`, `model`, `reduce` and `estimate` to `checks` and `periodic`,
+//! from these to `chain`, and from it to `planes` and `results`.
 //!
 //! # Conventions
-//! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see `model`. The input of a sample is
-//!   held until the next.
-//! - Signals are in segments of known input; an unobserved output is NaN and is left out, see `data`.
-//! - Covariances are kept as factors, see `uncertainty`; everything is solved by QR factorisation, see `regression`.
+//! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see `model::polynomials`. The input of
+//!   a sample is held until the next.
+//! - Signals are in segments of known input; an unobserved output is NaN and is left out, see `data::segments`.
+//! - Covariances are kept as factors, see `model::covariance`; everything is solved by QR factorisation, see
+//!   `solve::regression`.
 
-// In the order of the data.
-pub(crate) mod data;
-pub(crate) mod plant;
-
-pub(crate) mod hold;
-pub(crate) mod recorded;
-
-pub(crate) mod delay;
-pub(crate) mod grid;
-pub(crate) mod prepare;
-
-pub(crate) mod model;
-mod model_error;
-pub(crate) mod regression;
-
-pub(crate) mod arx;
-mod colour;
-pub(crate) mod estimated;
-pub(crate) mod instrumental;
-pub(crate) mod output_error;
-pub(crate) mod search;
-mod shortest;
-mod subspace;
-pub(crate) mod zero;
-
-mod balance;
-pub(crate) mod gramian;
-pub(crate) mod reduce;
-pub(crate) mod state_space;
-
-pub(crate) mod continuous;
-
-pub(crate) mod periodic;
-
-pub(crate) mod planes;
-
-pub(crate) mod bandwidth;
-pub(crate) mod bootstrap;
-mod excited;
-pub(crate) mod fit;
-mod frozen;
-mod gain_change;
-mod jump;
-mod left;
-pub(crate) mod modelled;
-mod nonlinear;
-mod other_orders;
-mod outliers;
-pub(crate) mod residuals;
-pub(crate) mod spectrum;
-pub(crate) mod uncertainty;
-mod varying;
-mod whitened;
-mod wrong_values;
-
-pub(crate) mod applied;
 pub(crate) mod chain;
-pub(crate) mod diagnostic;
-mod diagnostics;
-pub(crate) mod export;
-pub(crate) mod identification;
-pub(crate) mod provenance;
-pub(crate) mod settings;
-mod tables;
-
-mod decompositions;
-mod descent;
+pub(crate) mod checks;
+pub(crate) mod data;
 mod error;
-mod initial;
-pub(crate) mod saved;
+pub(crate) mod estimate;
+pub(crate) mod model;
+pub(crate) mod periodic;
+pub(crate) mod planes;
+pub(crate) mod reduce;
+pub(crate) mod results;
+pub(crate) mod solve;
 #[cfg(test)]
 pub(crate) mod tests;
 
-pub use arx::fit as fit_arx;
-pub use chain::identify;
-pub use continuous::{Continuous, Conversion};
-pub use data::{Data, Segment};
+pub use chain::identification::Identification;
+pub use chain::settings::Settings;
+pub use chain::steps::identify;
+pub use data::plant::Plant;
+pub use data::segments::{Data, Segment};
 pub use error::IdentifyError;
-pub use fit::InitialState;
-pub use identification::Identification;
-pub use model::{Orders, Polynomials};
+pub use estimate::arx::fit as fit_arx;
+pub use estimate::search::search;
+pub use model::continuous::{Continuous, Conversion};
+pub use model::polynomials::{Orders, Polynomials};
+pub use model::reproduction::InitialState;
 pub use periodic::Repeats;
-pub use plant::Plant;
-pub use search::search;
-pub use settings::Settings;

@@ -1,18 +1,18 @@
 //! The estimators and the search, on simulated records.
 
-use super::IdentifyError;
-use super::arx::fit;
-use super::chain::identify;
-use super::data::{Data, Record, Segment};
-use super::diagnostic::Diagnostic;
-use super::estimated::Estimated;
-use super::fit::InitialState;
-use super::model::{Orders, Polynomials, all_pole};
-use super::reduce::{Removal, Target};
-use super::regression::row;
-use super::search::{Criterion, best};
-use super::settings::{Choice, Estimator, Settings};
-use super::{instrumental, output_error, search};
+use crate::identify::IdentifyError;
+use crate::identify::chain::settings::{Choice, Estimator, Settings};
+use crate::identify::chain::steps::identify;
+use crate::identify::checks::diagnostic::Diagnostic;
+use crate::identify::data::segments::{Data, Record, Segment};
+use crate::identify::estimate::arx::fit;
+use crate::identify::estimate::estimated::Estimated;
+use crate::identify::estimate::search::{self, Criterion, best};
+use crate::identify::estimate::{instrumental, output_error};
+use crate::identify::model::polynomials::{Orders, Polynomials, all_pole};
+use crate::identify::model::reproduction::InitialState;
+use crate::identify::reduce::truncation::{Removal, Target};
+use crate::identify::solve::regression::row;
 use crate::testing::random::Random;
 use nalgebra::DMatrix;
 use std::f64::consts::TAU;

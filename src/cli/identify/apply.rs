@@ -5,12 +5,12 @@ use super::report_files;
 use crate::cli::outcome::Outcome;
 use crate::cli::output::REPORT;
 use crate::cli::{Exit, Failure, interrupt, output};
-use crate::identify::applied::{Applied, apply};
-use crate::identify::data::Data;
-use crate::identify::export;
-use crate::identify::fit::Kind;
-use crate::identify::provenance::Provenance;
-use crate::identify::saved::Saved;
+use crate::identify::data::segments::Data;
+use crate::identify::model::reproduction::Kind;
+use crate::identify::results::applied::{Applied, apply};
+use crate::identify::results::export;
+use crate::identify::results::provenance::Provenance;
+use crate::identify::results::saved::Saved;
 use crate::report::identification;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -61,7 +61,7 @@ fn describe(text: &mut String, done: &Applied, saved: &Saved, provenance: &Prove
     for record in &provenance.records {
         for model in &done.models {
             let kind = Kind::Simulation(record.initial_state);
-            let of = |f: &&crate::identify::identification::Fit| {
+            let of = |f: &&crate::identify::chain::identification::Fit| {
                 f.record == record.name && f.role == model.role && f.kind == kind
             };
             let Some(fit) = done.fits.iter().find(of) else { continue };

@@ -2,7 +2,7 @@
 //! rows written twice. Each is a warning.
 
 use super::records;
-use crate::identify::hold::stairs;
+use crate::identify::data::hold::stairs;
 use crate::median::median;
 use crate::series::columns;
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! Warnings about coil currents that are hardly those that the coils had.
 
-use crate::identify::hold::{Held, LongHold};
+use crate::identify::data::hold::{Held, LongHold};
 
 /// Current beyond which a unit is more likely to be wrong than the current right.
 const MOST_AMPERES: f64 = 50.0;

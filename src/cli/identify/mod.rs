@@ -14,9 +14,10 @@ pub(crate) use args::Args;
 use super::{Exit, Failure, interrupt, output};
 use crate::cli::outcome::{self, Outcome};
 use crate::cli::progress::Stages;
-use crate::identify::chain::identify_with_progress;
-use crate::identify::data::Data;
-use crate::identify::{IdentifyError, export};
+use crate::identify::IdentifyError;
+use crate::identify::chain::steps::identify_with_progress;
+use crate::identify::data::segments::Data;
+use crate::identify::results::export;
 use crate::report::identification;
 use std::path::PathBuf;
 
@@ -38,7 +39,7 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
     if let Some(model) = &args.model {
         return apply::run(args, model, &data, &provenance, outcome);
     }
-    let samples: usize = data.training.iter().map(crate::identify::data::Record::observed).sum();
+    let samples: usize = data.training.iter().map(crate::identify::data::segments::Record::observed).sum();
     let settings = args.settings(samples, !data.validation.is_empty())?;
     // 2. models
     let done =
@@ -62,7 +63,7 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
     // 4. text
     report_files(outcome, &written)?;
     outcome.print(&words::summary(&data, &done, &provenance, &written))?;
-    if done.models.iter().any(|m| m.role == crate::identify::modelled::Role::Full && !m.is_stable()) {
+    if done.models.iter().any(|m| m.role == crate::identify::model::modelled::Role::Full && !m.is_stable()) {
         let text = "the model of full order is unstable: what was written describes it and is not to be relied on";
         return Err(Failure::new(Exit::Unusable, text));
     }

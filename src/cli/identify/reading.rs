@@ -5,17 +5,17 @@ use super::args::{Args, DelayArg, Range};
 use super::records::{self, Driven};
 use super::{columns_in_doubt, currents};
 use crate::cli::Failure;
-use crate::identify::data::Data;
-use crate::identify::data::Record;
-use crate::identify::delay::{self, Delay, Drift, Timing};
-use crate::identify::fit::InitialState;
-use crate::identify::grid::{Grid, GridError, Series, coarser, cut, resample, rounded_to};
-use crate::identify::hold::Held;
-use crate::identify::plant::Plant;
-use crate::identify::prepare::{Detrend, Trend, decimate};
-use crate::identify::provenance::{Provenance, RecordSummary};
-use crate::identify::recorded::Observed;
-use crate::identify::zero::Zero;
+use crate::identify::data::from_recording::Observed;
+use crate::identify::data::grid::{Grid, GridError, Series, coarser, cut, resample, rounded_to};
+use crate::identify::data::hold::Held;
+use crate::identify::data::plant::Plant;
+use crate::identify::data::prepare::{Detrend, Trend, decimate};
+use crate::identify::data::segments::Data;
+use crate::identify::data::segments::Record;
+use crate::identify::estimate::clock_delay::{self, Delay, Drift, Timing};
+use crate::identify::estimate::unknown_zero::Zero;
+use crate::identify::model::reproduction::InitialState;
+use crate::identify::results::provenance::{Provenance, RecordSummary};
 use crate::series::columns;
 use std::path::Path;
 
@@ -353,7 +353,7 @@ fn without_drift(args: &Args, source: &str, held: Held, (drift, told): (Drift, b
     if fitted { held.drifted(drift.rate, middle_s) } else { held }
 }
 
-/// The apparent delay of the output, searched around the given one. `own_clock`: see [`delay::estimate`].
+/// The apparent delay of the output, searched around the given one. `own_clock`: see [`clock_delay::estimate`].
 fn apparent_delay(
     args: &Args,
     observed: &Observed,
@@ -364,10 +364,10 @@ fn apparent_delay(
     let period_s = observed.grid().ok()?.period_s;
     let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
     // All delays are judged by the same samples: those whose commands are known for every delay.
-    let known_s = held.zero_before().span_s()?.0 + given_s + (delay::MAX_DELAY + 2.0) * period_s;
+    let known_s = held.zero_before().span_s()?.0 + given_s + (clock_delay::MAX_DELAY + 2.0) * period_s;
     let cut_off = known_s > *observed.time_s.first()?;
     let observed = if cut_off { observed.from(known_s) } else { observed.clone() };
-    let found = delay::estimate(period_s, own_clock, |Timing { delay_s, drift }| {
+    let found = clock_delay::estimate(period_s, own_clock, |Timing { delay_s, drift }| {
         let held = held.drifted(drift, own_clock.unwrap_or_default()).zero_before();
         let series = observed.series(&held, plant, given_s + delay_s).ok()?;
         let series = Series { fit_zero: args.fits_zero(), ..series };

@@ -1,12 +1,12 @@
 //! The result as text for the terminal.
 
 use crate::digits::{fixed, scientific};
-use crate::identify::continuous::{Continuous, Conversion};
-use crate::identify::data::Data;
-use crate::identify::fit::{InitialState, Kind};
-use crate::identify::identification::{Differs, Identification};
-use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
-use crate::identify::provenance::Provenance;
+use crate::identify::chain::identification::{Differs, Identification};
+use crate::identify::data::segments::Data;
+use crate::identify::model::continuous::{Continuous, Conversion};
+use crate::identify::model::modelled::{ContinuousEstimate, Modelled, Role};
+use crate::identify::model::reproduction::{InitialState, Kind};
+use crate::identify::results::provenance::Provenance;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -98,7 +98,7 @@ fn table_1(text: &mut String, done: &Identification, provenance: &Provenance) ->
         let begins = if record.initial_state == InitialState::Rest { "from rest" } else { "start estimated" };
         write!(text, "{:<36}", format!("{role}, {:.0} s, {begins}", record.duration_s))?;
         for model in &done.models {
-            let of = |f: &&crate::identify::identification::Fit| {
+            let of = |f: &&crate::identify::chain::identification::Fit| {
                 f.record == record.name
                     && f.training == record.training
                     && f.role == model.role

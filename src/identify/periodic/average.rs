@@ -5,7 +5,7 @@
 //! section 2.5). Noise is separated from the system's response without a model of either; noise that Eq. 6 carries from
 //! the output to the input is included in variances and covariance.
 
-use super::super::data::Segment;
+use crate::identify::data::segments::Segment;
 use nalgebra::Complex;
 use rustfft::FftPlanner;
 use std::f64::consts::TAU;

@@ -6,13 +6,13 @@
 //! and from Sanathanan and Koerner's iteration (IEEE TAC 8, 1963, doi:10.1109/TAC.1963.1105517). With a held input the
 //! lines of the samples follow B/A exactly, and its H(s) is also the maximum likelihood H(s).
 
-use super::super::descent::{Descent, Lowest};
-use super::super::estimated::Estimated;
-use super::super::model::{Orders, Polynomials};
-use super::super::regression::{Triangle, solve};
-use super::super::shortest::Delayed;
-use super::super::uncertainty::Covariance;
 use super::average::{Averaged, Line, MIN_PERIODS};
+use crate::identify::estimate::estimated::Estimated;
+use crate::identify::estimate::shortest_delay::Delayed;
+use crate::identify::model::covariance::Covariance;
+use crate::identify::model::polynomials::{Orders, Polynomials};
+use crate::identify::solve::descent::{Descent, Lowest};
+use crate::identify::solve::regression::{Triangle, solve};
 use nalgebra::Complex;
 
 const DESCENT: Descent = Descent { first_damping: 1e-4, tolerance: 1e-14, max_steps: 200 };

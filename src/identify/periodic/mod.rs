@@ -18,12 +18,12 @@ mod tests;
 pub(crate) use average::{Averaged, Line};
 pub(crate) use repeating::unrepeated;
 
-use super::data::Record;
-use super::estimated::{Estimated, Refined};
-use super::initial::initial_models;
-use super::model::{Orders, Polynomials};
-use super::reduce::Target;
-use super::shortest::shortest;
+use crate::identify::data::segments::Record;
+use crate::identify::estimate::estimated::{Estimated, Refined};
+use crate::identify::estimate::initial_models::initial_models;
+use crate::identify::estimate::shortest_delay::shortest;
+use crate::identify::model::polynomials::{Orders, Polynomials};
+use crate::identify::reduce::truncation::Target;
 
 /// Highest order that `auto` tries.
 const MAX_ORDER: usize = 6;

@@ -3,7 +3,7 @@
 //! Compares the input with itself a period later: half the mean square of the difference is the power that does not
 //! repeat, noise or a wrong period. If it repeats better after several periods, the period is wrong.
 
-use super::super::data::Segment;
+use crate::identify::data::segments::Segment;
 
 /// Part of the input's power that may differ from period to period, as noise does.
 const MOST: f64 = 0.8;

@@ -1,13 +1,13 @@
 //! Periods with known noise: exact without it, and σ compared with the scatter of many records.
 
-use super::super::bandwidth::{Definition, bandwidth};
-use super::super::continuous::{Continuous, Conversion};
-use super::super::data::{Record, Segment};
-use super::super::model::{Orders, Polynomials, angle};
-use super::super::modelled::{Modelled, Role};
-use super::super::reduce::Target;
-use super::super::tests::noise;
 use super::*;
+use crate::identify::data::segments::{Record, Segment};
+use crate::identify::model::bandwidth::{Definition, bandwidth};
+use crate::identify::model::continuous::{Continuous, Conversion};
+use crate::identify::model::modelled::{Modelled, Role};
+use crate::identify::model::polynomials::{Orders, Polynomials, angle};
+use crate::identify::reduce::truncation::Target;
+use crate::identify::tests::noise;
 
 const PERIOD_S: f64 = 1.0 / 60.0;
 const SAMPLES: usize = 240;

@@ -6,7 +6,7 @@
 
 use super::Motion;
 use super::system::System;
-use crate::identify::regression::{Triangle, solve};
+use crate::identify::solve::regression::{Triangle, solve};
 use nalgebra::DMatrix;
 
 /// The triangle of the highest order; lower ones are some of its columns.

@@ -6,7 +6,7 @@
 //! that tells them apart, and errors of their responses grow by its inverse.
 
 use super::Motion;
-use crate::identify::decompositions::svd;
+use crate::identify::solve::decompositions::svd;
 use nalgebra::DMatrix;
 
 /// Part of a direction's largest coefficient from which a coil takes part in it.

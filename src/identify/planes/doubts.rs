@@ -2,8 +2,8 @@
 
 use super::currents::Together;
 use super::{OUTPUTS, RecordFit};
-use crate::identify::diagnostic::Diagnostic;
-use crate::identify::diagnostics::{POOR_FIT_PERCENT, WORSE_THAN_ZERO_PERCENT};
+use crate::identify::chain::warnings::{POOR_FIT_PERCENT, WORSE_THAN_ZERO_PERCENT};
+use crate::identify::checks::diagnostic::Diagnostic;
 
 /// Part of the currents' motion that tells them apart below which it is hardly known which coil does what.
 const HARDLY_APART: f64 = 0.05;

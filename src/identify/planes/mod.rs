@@ -8,7 +8,7 @@
 //! 1. Orders from 1 to the most asked for, `na` = `nb`, are fitted; the order is the one that simulates the judging
 //!    records best, or by minimum description length where there are none.
 //! 2. The model in observer form is balanced for the frequencies that the currents contain, where the records determine
-//!    it, and truncated (`reduce.rs` has the sources).
+//!    it, and truncated (`reduce/truncation.rs` has the sources).
 //! 3. Simulations begin in the state that fits the record best: what moved before is not known.
 //!
 //! Cannot tell: what is not linear about that point. A side coil along B0 bends nothing by itself; about a bend it
@@ -22,10 +22,10 @@ mod write;
 
 pub(crate) use system::System;
 
-use super::data::Segment;
-use super::diagnostic::Diagnostic;
-use super::recorded::{Observed, RecordedError};
-use super::spectrum::spectrum;
+use crate::identify::checks::diagnostic::Diagnostic;
+use crate::identify::data::from_recording::{Observed, RecordedError};
+use crate::identify::data::segments::Segment;
+use crate::identify::data::spectrum::spectrum;
 use crate::series::{Current, Recording, SeriesError};
 use arx::Regression;
 use currents::Together;
@@ -57,7 +57,7 @@ pub(crate) enum PlanesError {
     Series(#[from] SeriesError),
     /// Times that are no grid.
     #[error(transparent)]
-    Grid(#[from] super::grid::GridError),
+    Grid(#[from] crate::identify::data::grid::GridError),
     /// No direction of the coil.
     #[error("{name}: the coil's tangent is in none of its {frames} frames; both angles are taken from it")]
     NoTangent {
@@ -132,7 +132,7 @@ impl Motion {
         let across = y.series(one, None, delay_s)?.output;
         let moved = held.iter().map(|held| x.series(held, None, delay_s)).collect::<Result<Vec<_>, _>>()?;
         let Some(first) = moved.first() else { return Err(PlanesError::Still { name }) };
-        let grid = super::grid::Grid::of(&name, &first.time_s)?;
+        let grid = crate::identify::data::grid::Grid::of(&name, &first.time_s)?;
         let samples = grid.places.last().map_or(0, |last| last + 1);
         let start_s = first.time_s.first().copied().unwrap_or(0.0);
         let mut output = DMatrix::from_element(samples, OUTPUTS.len(), f64::NAN);

@@ -1,9 +1,9 @@
 //! A discrete system of several inputs and outputs: x(t+1) = A x(t) + B u(t), y(t) = C x(t).
 
 use super::Motion;
-use crate::identify::balance::Balanced;
-use crate::identify::decompositions::{eigenvalues, svd};
-use crate::identify::gramian::{band_factors, factor};
+use crate::identify::reduce::balance::Balanced;
+use crate::identify::reduce::gramian::{band_factors, factor};
+use crate::identify::solve::decompositions::{eigenvalues, svd};
 use nalgebra::{Complex, DMatrix, DVector};
 
 /// Less than this part of the largest is rounding.

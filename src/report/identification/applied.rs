@@ -2,11 +2,11 @@
 
 use super::figures::{self, Shown};
 use super::{escape, facts_rows, figure, percent, records_table};
-use crate::identify::applied::Applied;
-use crate::identify::data::Data;
-use crate::identify::fit::{InitialState, Kind};
-use crate::identify::provenance::Provenance;
-use crate::identify::saved::Saved;
+use crate::identify::data::segments::Data;
+use crate::identify::model::reproduction::{InitialState, Kind};
+use crate::identify::results::applied::Applied;
+use crate::identify::results::provenance::Provenance;
+use crate::identify::results::saved::Saved;
 use crate::report::html::Html;
 use crate::report::page::{self, card, facts_table, table};
 

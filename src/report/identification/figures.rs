@@ -3,16 +3,16 @@
 use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, css_faint, rounded};
 use super::super::html::escape;
 use super::super::timeline::Timeline;
-use crate::identify::data::Data;
-use crate::identify::data::Record;
-use crate::identify::fit::{Kind, output};
-use crate::identify::identification::Identification;
-use crate::identify::modelled::{BodePoint, Modelled, Role, unwrapped};
+use crate::identify::chain::identification::Identification;
+use crate::identify::checks::residuals::Residuals;
+use crate::identify::data::segments::Data;
+use crate::identify::data::segments::Record;
+use crate::identify::data::spectrum::Spectrum;
+use crate::identify::model::modelled::{BodePoint, Modelled, Role, unwrapped};
+use crate::identify::model::reproduction::{Kind, output};
 use crate::identify::periodic::Line as SpectralLine;
-use crate::identify::provenance::Provenance;
-use crate::identify::reduce::Reduced;
-use crate::identify::residuals::Residuals;
-use crate::identify::spectrum::Spectrum;
+use crate::identify::reduce::truncation::Reduced;
+use crate::identify::results::provenance::Provenance;
 use crate::sink::Rgb;
 use plotly::common::{DashType, Fill, HoverInfo, Line, Marker, MarkerSymbol, Mode};
 use plotly::layout::{AxisType, HoverMode, Shape, ShapeLayer, ShapeLine, ShapeType};
@@ -294,7 +294,7 @@ pub(super) fn coherence(data: &Data, done: &Shown<'_>) -> Plot {
 
 /// The criterion over the order, with a line for each delay.
 pub(super) fn orders(done: &Identification, judged: bool) -> Plot {
-    let value = |c: &crate::identify::search::Candidate| {
+    let value = |c: &crate::identify::estimate::search::Candidate| {
         if judged { c.simulation.map(|e| e.error_percent) } else { Some(c.mdl) }
     };
     let title = if judged { "Error (% of energy)" } else { "MDL" };

@@ -10,14 +10,14 @@ pub(crate) use applied::applied_page;
 use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, table};
 use crate::digits::{digits_behind_first, fixed};
-use crate::identify::continuous::{Continuous, Conversion};
-use crate::identify::data::Data;
-use crate::identify::fit::{InitialState, Kind};
-use crate::identify::identification::{Fit, Identification};
-use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
-use crate::identify::provenance::{Provenance, RecordSummary};
-use crate::identify::search::Candidate;
-use crate::identify::zero::Zero;
+use crate::identify::chain::identification::{Fit, Identification};
+use crate::identify::data::segments::Data;
+use crate::identify::estimate::search::Candidate;
+use crate::identify::estimate::unknown_zero::Zero;
+use crate::identify::model::continuous::{Continuous, Conversion};
+use crate::identify::model::modelled::{ContinuousEstimate, Modelled, Role};
+use crate::identify::model::reproduction::{InitialState, Kind};
+use crate::identify::results::provenance::{Provenance, RecordSummary};
 use crate::plural::plural;
 use figures::Shown;
 use std::collections::BTreeMap;
@@ -200,7 +200,8 @@ fn transfer_functions(done: &Identification) -> String {
             ]);
         }
         let poles: Vec<String> = h.poles().iter().map(|p| complex(p.re, p.im)).collect();
-        let zeros: Vec<String> = crate::identify::model::roots(num).iter().map(|z| complex(z.re, z.im)).collect();
+        let zeros: Vec<String> =
+            crate::identify::model::polynomials::roots(num).iter().map(|z| complex(z.re, z.im)).collect();
         text += &format!("<p class=\"note\">Poles {} rad/s; zeros {} rad/s.</p>\n", list(&poles), list(&zeros));
     }
     if !any {
@@ -322,7 +323,9 @@ fn orders(done: &Identification) -> String {
         heads.extend(["prediction error (%)", "simulation error (%)"]);
     }
     heads.extend(["largest pole", "note"]);
-    let error = |e: Option<crate::identify::fit::FitError>| e.map_or_else(Html::default, |e| percent(e.error_percent));
+    let error = |e: Option<crate::identify::model::reproduction::FitError>| {
+        e.map_or_else(Html::default, |e| percent(e.error_percent))
+    };
     let rows: Vec<Vec<Html>> = of_each_order(done, judged)
         .into_iter()
         .map(|c| {

@@ -1,0 +1,510 @@
+//! From signals to models: the whole chain, with its steps in order.
+
+use crate::identify::IdentifyError;
+use crate::identify::chain::bootstrap::{middle_95, repeat};
+use crate::identify::chain::identification::{Differs, Fit, Identification};
+use crate::identify::chain::settings::{Choice, Estimator, Settings};
+use crate::identify::chain::warnings::diagnostics;
+use crate::identify::checks::follows_input::{self, Left};
+use crate::identify::checks::model_error::ModelError;
+use crate::identify::checks::other_orders::{self, compared};
+use crate::identify::checks::residuals::Residuals;
+use crate::identify::checks::wrong_values::{leaves_sigma, wrong_values};
+use crate::identify::data::segments::{Data, Record, Segment};
+use crate::identify::data::spectrum::spectrum;
+use crate::identify::estimate::estimated::{Estimated, Refined};
+use crate::identify::estimate::initial_models::initial_models;
+use crate::identify::estimate::search::{Candidate, Criterion, best, search};
+use crate::identify::estimate::shortest_delay::{as_well, is_better, shortest};
+use crate::identify::estimate::{arx, instrumental, output_error};
+use crate::identify::model::covariance::Covariance;
+use crate::identify::model::modelled::{BodePoint, Modelled, Role, bandwidths};
+use crate::identify::model::polynomials::{Noise, Orders, Polynomials, angle};
+use crate::identify::model::reproduction::{InitialState, Kind, compare};
+use crate::identify::periodic::{self, Periodic, Repeats};
+use crate::identify::reduce::truncation::{Reduced, Reduction, Target, reduce, reduce_in_band};
+use std::f64::consts::TAU;
+
+/// Difference of the reduced model from the refined one, in σ, from which its σ is not given. Where σ is right, fewer
+/// than one in twenty lie beyond.
+const DIFFERS_SD: f64 = 2.0;
+
+/// Identifies.
+///
+/// # Errors
+/// [`IdentifyError`].
+pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, IdentifyError> {
+    identify_with_progress(data, settings, &|_| {})
+}
+
+/// As [`identify`]; calls `progress` at the beginning of each step.
+///
+/// # Errors
+/// As [`identify`].
+pub(crate) fn identify_with_progress(
+    data: &Data,
+    settings: &Settings,
+    progress: &dyn Fn(&str),
+) -> Result<Identification, IdentifyError> {
+    let mut training = segments_of(&data.training);
+    let validation = segments_of(&data.validation);
+    if settings.initial_state == InitialState::Estimated {
+        // Also for fitting, not only for comparing simulations, the initial state is unknown.
+        training.iter_mut().for_each(|segment| segment.from_rest = false);
+    }
+    moves(&data.training)?;
+    can_judge(&validation, &settings.choice)?;
+    repeats(data, settings)?;
+    // 1. orders and delay
+    progress("searching orders and delay");
+    let Chosen { candidates, criterion, orders: best } = choose(&training, &validation, settings)?;
+    // 2. the full model
+    progress("fitting the full model");
+    let (orders, arx, full) = fit_full(&training, &candidates, criterion, best, settings.estimator)?;
+    let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
+    let spectrum = spectrum(&training, data.period_s);
+    let nyquist_hz = 0.5 / data.period_s;
+    let excited_hz = spectrum.as_ref().map_or((0.0, nyquist_hz), |s| s.excited_hz);
+    let excited = (angle(excited_hz.0, data.period_s), angle(excited_hz.1, data.period_s));
+    let modelled = |role, title, model: &Polynomials, covariance| {
+        Modelled::new(role, title, model.clone(), covariance, data.period_s, excited_hz)
+    };
+    let title = format!("{}, order {}", settings.estimator.words(), estimated.model.na());
+    let mut models = vec![modelled(Role::Full, title, &estimated.model, Some(estimated.covariance.clone()))];
+    // 3. fewer states
+    let band = (!settings.all_frequencies).then_some(excited);
+    // By Eq. 6 the output's noise is in its own input.
+    let of_output = training.iter().any(|s| s.instrument.is_some());
+    let delays = delays(&settings.choice);
+    let attempt = |target: Target| {
+        progress("fitting the refined model");
+        Attempt::of(&training, estimated, Reduction { target, removal: settings.removal, band }, excited, &delays)
+    };
+    let mut attempt_taken = attempt(settings.target);
+    let lower = |taken: &Attempt| {
+        let found = taken.refined.as_ref().ok().filter(|_| !of_output)?;
+        other_orders::lowest(&training, &found.refined)
+    };
+    let mut lower_order = lower(&attempt_taken);
+    if let (Target::Auto, Some(order)) = (settings.target, lower_order) {
+        attempt_taken = attempt(Target::Order(order));
+        lower_order = None;
+    }
+    let Attempt { how, unstable_in_band, reduced, refined: found } = attempt_taken;
+    if let Ok(reduced) = &reduced {
+        let covariance = reduced_covariance(estimated, reduced, how);
+        let title = format!("reduced, order {}", reduced.model.order());
+        models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
+    }
+    // 4. the same order fitted to the data itself
+    let (refined, other_delays, earlier_delay) = match found {
+        Ok(found) => (Ok(found.refined), found.others, found.earlier.filter(|_| !of_output)),
+        Err(why) => (Err(why), Vec::new(), None),
+    };
+    let mut model_error = None;
+    let mut left = None;
+    let mut higher_order = None;
+    if let Ok(refined) = &refined {
+        let Estimated { model, covariance, .. } = &refined.estimated;
+        model_error = ModelError::of(&training, estimated, &refined.estimated, settings.initial_state);
+        let title = format!("refined, order {}", model.order());
+        let shortest = delays.first().copied().unwrap_or(model.nk);
+        // By Eq. 6 what is left follows the input by its own noise.
+        left = if of_output { None } else { Left::of(&training, model, shortest) };
+        let doubted = left
+            .is_some_and(|left| left.follows() || left.is_off_centre() || !settings.commanded && left.is_fed_back());
+        let sound = model_error.is_none() && earlier_delay.is_none() && !doubted;
+        if sound && !of_output {
+            higher_order = other_orders::higher(&training, refined);
+        }
+        // Its errors are those of its order, of a mean, of rows that are shifted, or of feedback; a σ of noise would be
+        // wrong.
+        let sound = sound && higher_order.is_none();
+        let covariance = sound.then(|| covariance.clone());
+        models.push(modelled(Role::Refined, title, model, covariance));
+    }
+    let wrong_values = wrong_values(&data.training, &models, data.period_s);
+    if !wrong_values.iter().all(leaves_sigma) {
+        models.iter_mut().filter(|m| m.role == Role::Refined).for_each(Modelled::forget_sigma);
+    }
+    let reduced_differs = reduced_differs(&mut models, excited_hz);
+    // 5. averaged periods, where the input repeats
+    if settings.repeats.is_some() {
+        progress("averaging periods");
+    }
+    let periodic = fit_periods(data, settings, refined.as_ref().ok())?;
+    if let Some(found) = &periodic {
+        let Estimated { model, covariance, .. } = found.estimated();
+        let title = format!("periods, order {}", model.order());
+        models.push(modelled(Role::Periodic, title, model, Some(covariance.clone())));
+    }
+    // 6. uncertainty
+    let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());
+    let biased =
+        settings.estimator == Estimator::Arx && (of_output || !residuals.as_ref().is_some_and(Residuals::look_white));
+    progress(&format!("repeating the experiment {} times (--bootstrap)", settings.bootstrap));
+    let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, how, settings, biased);
+    progress("comparing the models with the records");
+    let fits = fits(&data.training, &data.validation, &models, settings.initial_state);
+    let mut done = Identification {
+        candidates,
+        criterion,
+        orders,
+        full,
+        reduced,
+        refined,
+        other_delays,
+        earlier_delay,
+        model_error,
+        lower_order,
+        higher_order,
+        reduced_differs,
+        left,
+        wrong_values,
+        periodic,
+        models,
+        fits,
+        residuals,
+        spectrum,
+        repetitions,
+        diagnostics: Vec::new(),
+        arx,
+        best_orders: best,
+        unstable_in_band,
+    };
+    done.diagnostics = diagnostics(data, &done, settings.commanded);
+    Ok(done)
+}
+
+/// Orders and delay, and the candidates they were chosen from.
+struct Chosen {
+    candidates: Vec<Candidate>,
+    criterion: Option<Criterion>,
+    orders: Orders,
+}
+
+fn choose(training: &[Segment], validation: &[Segment], settings: &Settings) -> Result<Chosen, IdentifyError> {
+    match &settings.choice {
+        Choice::Fixed(orders) => Ok(Chosen { candidates: Vec::new(), criterion: None, orders: *orders }),
+        Choice::Search { candidates, criterion } => {
+            let usual = if validation.is_empty() { Criterion::Mdl } else { Criterion::Simulation };
+            let criterion = criterion.unwrap_or(usual);
+            let candidates = search(training, validation, settings.initial_state, candidates)?;
+            if candidates.is_empty() {
+                return Err(IdentifyError::NoneDetermined);
+            }
+            let best = best(&candidates, criterion).ok_or(IdentifyError::NoneStable { tried: candidates.len() })?;
+            let orders = best.orders;
+            Ok(Chosen { candidates, criterion: Some(criterion), orders })
+        }
+    }
+}
+
+/// The full model by least squares and, if requested, by another estimator. If that fails for the orders found, lower
+/// ones may be used.
+fn fit_full(
+    training: &[Segment],
+    candidates: &[Candidate],
+    criterion: Option<Criterion>,
+    best: Orders,
+    estimator: Estimator,
+) -> Result<(Orders, Estimated, Option<Refined>), IdentifyError> {
+    let fit = |orders: Orders| -> Result<_, IdentifyError> {
+        let arx = arx::fit(training, orders)?;
+        let full = full_model(training, &arx, estimator)?;
+        Ok((orders, arx, full))
+    };
+    fit(best).or_else(|error| {
+        let smaller = |c: &&Candidate| c.orders.parameters() < best.parameters() && c.largest_pole < 1.0;
+        let mut others: Vec<&Candidate> = candidates.iter().filter(smaller).collect();
+        let value = |c: &Candidate| criterion.and_then(|by| c.value(by)).unwrap_or(f64::INFINITY);
+        others.sort_by(|a, b| value(a).total_cmp(&value(b)));
+        others.into_iter().find_map(|candidate| fit(candidate.orders).ok()).ok_or(error)
+    })
+}
+
+/// The full model by another estimator than least squares, if requested.
+fn full_model(training: &[Segment], arx: &Estimated, estimator: Estimator) -> Result<Option<Refined>, IdentifyError> {
+    match estimator {
+        Estimator::Arx => Ok(None),
+        Estimator::OutputError => {
+            let initial = initial_models(training, arx.model.orders());
+            output_error::refine_from_any(training, &initial).map(Some)
+        }
+        Estimator::Instrumental => instrumental::refine(training, &arx.model).map(Some),
+    }
+}
+
+/// Covariance of the reduced model's coefficients, from that of the full model's.
+fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Option<Covariance> {
+    // With the same number of states, whatever `auto` would choose for a nearby model.
+    let same = Reduction { target: Target::Order(reduced.model.order()), ..how };
+    let parameters = |p: &[f64]| {
+        let moved = reduce(&full.model.with_parameters(p), same).ok()?.model;
+        (moved.nk == reduced.model.nk).then(|| moved.parameters().as_slice().to_vec())
+    };
+    full.covariance.propagate(full.model.parameters().as_slice(), parameters)
+}
+
+/// A reduction and what came of refining it.
+struct Attempt {
+    how: Reduction,
+    unstable_in_band: bool,
+    reduced: Result<Reduced, String>,
+    refined: Result<RefinedDelays, String>,
+}
+
+impl Attempt {
+    fn of(training: &[Segment], full: &Estimated, how: Reduction, excited: (f64, f64), delays: &[usize]) -> Self {
+        let reduced = reduce_in_band(&full.model, how);
+        let unstable_in_band = matches!(reduced, Ok((_, true)));
+        let how = if unstable_in_band { Reduction { band: None, ..how } } else { how };
+        let reduced = reduced.map(|(reduced, _)| reduced).map_err(|e| e.to_string());
+        let in_band = Reduction { band: how.band.or(Some(excited)), ..how };
+        let refined = match &reduced {
+            Ok(reduced) => refine_reduced(training, full, reduced, in_band, delays).map_err(|e| e.to_string()),
+            Err(_) => Err("there is no reduced model to begin from".to_owned()),
+        };
+        Self { how, unstable_in_band, reduced, refined }
+    }
+}
+
+/// Takes σ from the reduced model where the refined one differs from it by more than that allows, or has none: σ of ARX
+/// does not contain what noise of the output biases it by. Returns by how many σ, where that is known.
+fn reduced_differs(models: &mut [Modelled], excited_hz: (f64, f64)) -> Option<Differs> {
+    let refined = models.iter().find(|m| m.role == Role::Refined)?.clone();
+    let reduced = models.iter_mut().find(|m| m.role == Role::Reduced && m.covariance.is_some())?;
+    let sigmas = refined.covariance.as_ref().map(|_| {
+        let in_band = |p: &BodePoint| (excited_hz.0..=excited_hz.1).contains(&p.frequency_hz);
+        let both = reduced.bode.iter().zip(&refined.bode).filter(|(p, _)| in_band(p));
+        let off = both.filter_map(|(p, q)| {
+            let (gain_sd, phase_sd) = p.sd?;
+            let turn = (p.phase_rad - q.phase_rad).rem_euclid(TAU);
+            Some(((p.magnitude / q.magnitude).ln().abs() / gain_sd).max(turn.min(TAU - turn) / phase_sd))
+        });
+        off.fold(0.0, f64::max)
+    });
+    if sigmas.is_some_and(|sigmas| sigmas < DIFFERS_SD) {
+        return None;
+    }
+    reduced.forget_sigma();
+    Some(Differs { sigmas })
+}
+
+/// What came of refining.
+struct RefinedDelays {
+    refined: Refined,
+    /// Other delays that explain the data about as well.
+    others: Vec<usize>,
+    /// A delay below those searched that explains them clearly better.
+    earlier: Option<usize>,
+}
+
+/// Output error of the reduced model's orders, and other delays with which it explains the data about as well. The
+/// reduction for the excited band is often closer to the data than the requested one. The full model's delay need not
+/// be that of a model with fewer coefficients: those next to one that explains the data are tried. Of those that do
+/// about as well, noise decides which does best; the shortest is taken.
+fn refine_reduced(
+    training: &[Segment],
+    full: &Estimated,
+    reduced: &Reduced,
+    in_band: Reduction,
+    delays: &[usize],
+) -> Result<RefinedDelays, IdentifyError> {
+    let in_band = Reduction { target: Target::Order(reduced.model.order()), ..in_band };
+    let mut initial = vec![reduced.model.clone()];
+    initial.extend(reduce(&full.model, in_band).ok().map(|r| r.model));
+    initial.extend(initial_models(training, reduced.model.orders()));
+    let first = output_error::refine_from_any(training, &initial)?;
+    let mut tried = vec![first.estimated.model.nk];
+    let mut found = vec![first];
+    let again = |model: Polynomials| {
+        let mut initial = initial_models(training, model.orders());
+        initial.push(model);
+        output_error::refine_from_any(training, &initial).ok()
+    };
+    let (refined, others) = loop {
+        let by_colour = compared(training, &found);
+        let next = as_well(&by_colour).find_map(|tried_one| {
+            let here = &tried_one.refined.estimated.model;
+            let nk = delays.iter().find(|nk| nk.abs_diff(here.nk) == 1 && !tried.contains(nk))?;
+            Some(Polynomials { nk: *nk, ..here.clone() })
+        });
+        let Some(delayed) = next else {
+            let (taken, others) = shortest(&by_colour).ok_or(IdentifyError::NoneDetermined)?;
+            break (taken.refined, others);
+        };
+        tried.push(delayed.nk);
+        found.extend(again(delayed));
+    };
+    // A system may answer sooner than was searched.
+    let model = &refined.estimated.model;
+    let sooner = model.nk.checked_sub(1).filter(|_| delays.iter().all(|nk| *nk >= model.nk));
+    let sooner = sooner.filter(|_| follows_input::colour(training, model).is_some());
+    let earlier = sooner.and_then(|nk| {
+        let other = again(Polynomials { nk, ..model.clone() })?;
+        let both = compared(training, &[refined.clone(), other]);
+        is_better(both.last()?, both.first()?).then_some(nk)
+    });
+    Ok(RefinedDelays { refined, others, earlier })
+}
+
+/// The delays that may be chosen, rising.
+fn delays(choice: &Choice) -> Vec<usize> {
+    let mut delays: Vec<usize> = match choice {
+        Choice::Fixed(orders) => vec![orders.nk],
+        Choice::Search { candidates, .. } => candidates.iter().map(|orders| orders.nk).collect(),
+    };
+    delays.sort_unstable();
+    delays.dedup();
+    delays
+}
+
+/// The model of the averaged periods of the data fitted, if their input repeats.
+fn fit_periods(data: &Data, settings: &Settings, refined: Option<&Refined>) -> Result<Option<Periodic>, IdentifyError> {
+    let Some(repeats) = settings.repeats else { return Ok(None) };
+    let delays = delays(&settings.choice);
+    let others: Vec<Polynomials> = refined.iter().map(|r| r.estimated.model.clone()).collect();
+    periodic::fit(&data.training, data.period_s, repeats, settings.target, &delays, &others)
+        .map(Some)
+        .map_err(|problem| IdentifyError::NotPeriodic { problem })
+}
+
+fn segments_of(records: &[Record]) -> Vec<Segment> {
+    let numbered = records.iter().enumerate().flat_map(|(record, r)| r.segments.iter().map(move |s| (record, s)));
+    numbered.map(|(record, segment)| Segment { record, ..segment.clone() }).collect()
+}
+
+/// Input, output and the current behind the input must change: a torque of a constant current is the output's own.
+fn moves(records: &[Record]) -> Result<(), IdentifyError> {
+    let name = records.iter().map(|r| r.name.as_str()).collect::<Vec<_>>().join(", ");
+    type Signal = fn(&Segment) -> &[f64];
+    let signals: [(&'static str, Signal); 3] = [
+        ("input", |s| &s.input),
+        ("output", |s| &s.output),
+        ("coil's current", |s| s.instrument.as_deref().unwrap_or_default()),
+    ];
+    let has_current = records.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
+    for (what, signal) in signals.into_iter().take(if has_current { 3 } else { 2 }) {
+        let all = records.iter().flat_map(|r| &r.segments).flat_map(|s| signal(s).iter().copied());
+        let mut values = all.filter(|v| !v.is_nan());
+        let Some(first) = values.next() else { return Err(IdentifyError::Nothing { name }) };
+        if values.all(|v| v == first) {
+            return Err(IdentifyError::Still { name, what, value: first });
+        }
+    }
+    Ok(())
+}
+
+/// Checks that the input of each record repeats, where it is said to.
+fn repeats(data: &Data, settings: &Settings) -> Result<(), IdentifyError> {
+    let Some(Repeats { every_s, skip }) = settings.repeats else { return Ok(()) };
+    for record in &data.training {
+        if let Some(unrepeated) = periodic::unrepeated(&record.segments, data.period_s, every_s, skip) {
+            let problem = unrepeated.in_words(every_s);
+            return Err(IdentifyError::NotRepeated { name: record.name.clone(), every_s, problem });
+        }
+    }
+    Ok(())
+}
+
+/// Checks that the validation data, if any, have samples that the largest model can predict.
+fn can_judge(validation: &[Segment], choice: &Choice) -> Result<(), IdentifyError> {
+    let largest = match choice {
+        Choice::Fixed(orders) => Some(orders),
+        Choice::Search { candidates, .. } => candidates.iter().max_by_key(|orders| orders.memory()),
+    };
+    match (largest, validation.iter().map(Segment::len).max()) {
+        (Some(orders), Some(longest)) if longest <= orders.memory() => {
+            Err(IdentifyError::TooShortToJudge { orders: *orders, longest })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Every model on every record: simulated from both initial states, and predicted.
+pub(in crate::identify) fn fits(
+    training: &[Record],
+    validation: &[Record],
+    models: &[Modelled],
+    initial_state: InitialState,
+) -> Vec<Fit> {
+    let other = if initial_state == InitialState::Rest { InitialState::Estimated } else { InitialState::Rest };
+    let kinds = [Kind::Simulation(initial_state), Kind::Simulation(other), Kind::Prediction];
+    let mut fits = Vec::new();
+    let records = training.iter().map(|r| (r, true)).chain(validation.iter().map(|r| (r, false)));
+    for (record, training) in records {
+        // "From rest" here means from rest even for a part of a record, as in other programs; the result with an
+        // estimated initial state is given as well.
+        let at_rest = record.at_rest();
+        for model in models {
+            for kind in kinds {
+                let record = if kind == Kind::Simulation(InitialState::Rest) { &at_rest } else { record };
+                // Only the full model has a noise model for prediction.
+                if kind == Kind::Prediction && model.role != Role::Full {
+                    continue;
+                }
+                let error = compare(&model.model, &record.segments, kind);
+                fits.push(Fit { record: record.name.clone(), training, role: model.role, kind, error });
+            }
+        }
+    }
+    fits
+}
+
+/// Adds intervals to the bandwidths; returns how many repetitions succeeded.
+fn intervals(
+    models: &mut [Modelled],
+    training: &[Segment],
+    period_s: f64,
+    excited_hz: (f64, f64),
+    how: Reduction,
+    settings: &Settings,
+    biased: bool,
+) -> (usize, usize) {
+    let of = |role, model: &Polynomials| -> Vec<Option<f64>> {
+        bandwidths(role, model, period_s, excited_hz).iter().map(|b| b.frequency_hz).collect()
+    };
+    let model = |role| models.iter().find(|m| m.role == role).filter(|m| m.is_stable()).map(|m| m.model.clone());
+    let mut full_draws = Vec::new();
+    if let Some(full) = model(Role::Full) {
+        let noise = settings.estimator.noise();
+        full_draws = repeat(training, &full, noise, settings.bootstrap, |drawn| {
+            let again = match settings.estimator {
+                Estimator::Arx => arx::fit(drawn, full.orders()).ok()?.model,
+                Estimator::OutputError => output_error::nearest(drawn, &full).ok()?.model,
+                Estimator::Instrumental => instrumental::refine(drawn, &full).ok()?.estimated.model,
+            };
+            let reduced = reduce(&again, how).ok().map(|r| of(Role::Reduced, &r.model));
+            Some((of(Role::Full, &again), reduced))
+        });
+    }
+    let mut refined_draws = Vec::new();
+    if let Some(refined) = model(Role::Refined) {
+        refined_draws = repeat(training, &refined, Noise::Output, settings.bootstrap, |drawn| {
+            let again = output_error::nearest(drawn, &refined).ok()?.model;
+            Some(of(Role::Refined, &again))
+        });
+    }
+    for model in models {
+        if model.role == Role::Periodic {
+            model.intervals_by_covariance(period_s, excited_hz);
+            continue;
+        }
+        let draws: Vec<&Vec<Option<f64>>> = match model.role {
+            Role::Full => full_draws.iter().map(|(full, _)| full).collect(),
+            Role::Reduced => full_draws.iter().filter_map(|(_, reduced)| reduced.as_ref()).collect(),
+            Role::Refined => refined_draws.iter().collect(),
+            Role::Periodic | Role::Given => Vec::new(),
+        };
+        // The scatter of a biased estimate does not tell its error.
+        let wrong_order = model.role == Role::Refined && model.covariance.is_none();
+        if wrong_order || biased && matches!(model.role, Role::Full | Role::Reduced) {
+            continue;
+        }
+        for (k, estimate) in model.bandwidths.iter_mut().enumerate() {
+            estimate.interval_hz = middle_95(draws.iter().filter_map(|d| d.get(k).copied().flatten()).collect());
+        }
+    }
+    (full_draws.len(), refined_draws.len())
+}

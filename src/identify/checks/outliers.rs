@@ -1,0 +1,141 @@
+//! Outputs that cannot be right: single values far from their neighbours, and a scale that ends.
+//!
+//! Least squares believes every value. One wrong cell of a table, a sentinel such as −999 or a sensor at its limit
+//! bends the whole model, and the error that remains looks like that of a poor model.
+
+use crate::identify::data::segments::Record;
+use crate::identify::model::polynomials::Polynomials;
+use crate::identify::model::reproduction::{InitialState, Kind, output};
+use crate::median::{SD_PER_MEDIAN_DEVIATION, upper_median};
+use std::fmt;
+
+/// Distance from the neighbours, in robust σ, beyond which a value is wrong.
+const OUTLYING_SD: f64 = 8.0;
+/// Largest part of a record that can be outliers: more of them are the system's own.
+const MOST_OUTLYING: f64 = 0.03;
+/// Fewest values at a limit, and their number over that of the values next to it: a sine in coarse steps has 2.4.
+const MIN_AT_LIMIT: usize = 10;
+const MORE_THAN_NEXT: usize = 5;
+
+/// Values of one record that are far from their neighbours.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outliers {
+    /// How many.
+    pub count: usize,
+    /// Place of the worst on the record's grid, from 0.
+    pub sample: usize,
+    /// Its time, seconds.
+    pub time_s: f64,
+    /// Its value.
+    pub value: f64,
+    /// What the model says.
+    pub modelled: f64,
+}
+
+impl fmt::Display for Outliers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { count, sample, time_s, value, modelled } = self;
+        write!(
+            f,
+            "{} far from what comes before and after, the worst {value:.6} at sample {sample}, {time_s:.3} s, where \
+             {modelled:.6} is expected: correct wrong values, or leave the cells empty",
+            if *count == 1 { "an output is".to_owned() } else { format!("{count} outputs are") }
+        )
+    }
+}
+
+/// The output's distance from the model, compared with that of the neighbours: whatever the model does not explain
+/// but is slower than the samples is no outlier.
+pub(in crate::identify) fn outliers(model: &Polynomials, record: &Record, period_s: f64) -> Option<Outliers> {
+    let mut all: Vec<(f64, bool, Outliers)> = Vec::new();
+    for segment in &record.segments {
+        let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
+        let left: Vec<f64> = segment.output.iter().zip(&modelled).map(|(y, m)| y - m).collect();
+        let away = left.windows(3).map(|near| (near[1] - 0.5 * (near[0] + near[2])).abs()).collect::<Vec<_>>();
+        let of = |k: usize| {
+            // Beside two wrong values in a row a right one is as far from its neighbours' mean.
+            let farthest = (k..k + 3).max_by(|a, b| left[*a].abs().total_cmp(&left[*b].abs()))?;
+            let (t, count) = (farthest, 0);
+            let (sample, time_s) = (segment.first + t, segment.start_s + t as f64 * period_s);
+            // A wrong value spoils its neighbours' comparison as well.
+            let is_worst =
+                [k.wrapping_sub(1), k + 1].iter().all(|at| away.get(*at).is_none_or(|next| *next <= away[k]));
+            let outliers = Outliers { count, sample, time_s, value: segment.output[t], modelled: modelled[t] };
+            away[k].is_finite().then_some((away[k], is_worst, outliers))
+        };
+        all.extend((0..away.len()).filter_map(of));
+    }
+    let sd = SD_PER_MEDIAN_DEVIATION * upper_median(all.iter().map(|(away, ..)| *away))?;
+    let samples = all.len();
+    let outlying = all.into_iter().filter(|(away, is_worst, _)| *is_worst && *away > OUTLYING_SD * sd);
+    let outlying: Vec<(f64, Outliers)> = outlying.map(|(away, _, outliers)| (away, outliers)).collect();
+    let count = outlying.len();
+    let (_, worst) = outlying.into_iter().max_by(|(a, _), (b, _)| a.total_cmp(b))?;
+    (count as f64 <= (MOST_OUTLYING * samples as f64).max(1.0)).then_some(Outliers { count, ..worst })
+}
+
+/// A limit at which the output stays: how often, and its value.
+pub(in crate::identify) fn limit(record: &Record) -> Option<(usize, f64)> {
+    let outputs = record.segments.iter().flat_map(|s| &s.output).copied().filter(|y| !y.is_nan());
+    let mut sorted: Vec<f64> = outputs.collect();
+    sorted.sort_by(f64::total_cmp);
+    let at_end = |values: &mut dyn Iterator<Item = f64>| {
+        let mut values = values.peekable();
+        let mut count = || {
+            let value = values.next()?;
+            let mut count = 1;
+            while values.next_if(|next| *next == value).is_some() {
+                count += 1;
+            }
+            Some((count, value))
+        };
+        let ((last, value), (next, _)) = (count()?, count()?);
+        (last >= MIN_AT_LIMIT && last >= MORE_THAN_NEXT * next).then_some((last, value))
+    };
+    at_end(&mut sorted.iter().rev().copied()).or_else(|| at_end(&mut sorted.iter().copied()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identify::data::segments::Segment;
+    use crate::identify::tests::noise;
+
+    fn record(spoil: impl Fn(usize, f64) -> f64) -> (Polynomials, Record) {
+        let model = Polynomials { a: vec![1.0, -0.9], b: vec![0.1], nk: 1 };
+        let input: Vec<f64> = (0..2000).map(|t| (f64::from(t) * 0.02).sin()).collect();
+        let clean = model.simulate(&input);
+        let noisy = clean.iter().zip(noise(1, 2000)).map(|(y, e)| y + 0.01 * e);
+        let output = noisy.enumerate().map(|(t, y)| spoil(t, y)).collect();
+        let segment = Segment { input, output, from_rest: true, first: 100, ..Segment::default() };
+        (model, Record { name: "r".to_owned(), segments: vec![segment] })
+    }
+
+    #[test]
+    fn wrong_values_are_named_and_a_poor_model_is_not() {
+        let (model, clean) = record(|_, y| y);
+        assert_eq!(outliers(&model, &clean, 0.01), None);
+        let half = Polynomials { b: vec![0.05], ..model.clone() };
+        assert_eq!(outliers(&half, &clean, 0.01), None);
+        let (model, wrong) = record(|t, y| if t == 700 || t == 1500 { -999.0 } else { y });
+        let found = outliers(&model, &wrong, 0.01).unwrap();
+        assert!(found.sample == 800 || found.sample == 1600, "{found:?}");
+        assert_eq!(found.value, -999.0);
+        assert_eq!(found.count, 2);
+        for length in 2..4 {
+            let (model, row) = record(|t, y| if (700..700 + length).contains(&t) { -9999.0 } else { y });
+            assert_eq!(outliers(&model, &row, 0.01).unwrap().value, -9999.0);
+        }
+        let (model, many) = record(|t, y| if t % 50 == 7 { y + 0.5 } else { y });
+        assert_eq!(outliers(&model, &many, 0.01).unwrap().count, 40);
+    }
+
+    #[test]
+    fn a_scale_that_ends_is_seen_and_coarse_steps_are_not() {
+        assert_eq!(limit(&record(|_, y| y).1), None);
+        assert_eq!(limit(&record(|_, y| (y * 20.0).round() / 20.0).1), None);
+        let (count, value) = limit(&record(|_, y| y.min(0.6)).1).unwrap();
+        assert!(count > 100 && value == 0.6, "{count}");
+        assert!(limit(&record(|_, y| y.max(-0.6)).1).is_some());
+    }
+}

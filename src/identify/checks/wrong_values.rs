@@ -1,0 +1,46 @@
+//! Values of the fitted records that cannot be right, and what no linear model explains.
+
+use crate::identify::checks::diagnostic::Diagnostic;
+use crate::identify::checks::frozen::{Signal, frozen};
+use crate::identify::checks::gain_change::gain_change;
+use crate::identify::checks::jump::jump;
+use crate::identify::checks::nonlinear::nonlinear;
+use crate::identify::checks::outliers;
+use crate::identify::data::segments::Record;
+use crate::identify::model::modelled::{Modelled, Role};
+
+/// What the records show, as the models tell: record by record.
+pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled], period_s: f64) -> Vec<Diagnostic> {
+    let leading = Role::LEADING.into_iter().find_map(|role| models.iter().find(|m| m.role == role));
+    let model = leading.filter(|model| model.is_stable());
+    // Where the input depends on the output, a refined model may follow a jump.
+    let stable = || models.iter().filter(|model| model.is_stable());
+    let of_record = |record: &Record| {
+        let name = || record.name.clone();
+        let outlying = model.and_then(|model| {
+            let outliers = outliers::outliers(&model.model, record, period_s)?;
+            Some(Diagnostic::Outlying { record: name(), outliers })
+        });
+        let at_limit = outliers::limit(record);
+        let at_limit = at_limit.map(|(count, value)| Diagnostic::AtLimit { record: name(), count, value });
+        let jump = stable().find_map(|model| jump(&model.model, record, period_s));
+        let moved = jump.map(|jump| Diagnostic::Jumps { record: name(), jump }).or_else(|| {
+            let change = stable().find_map(|model| gain_change(&model.model, record, period_s))?;
+            Some(Diagnostic::GainChange { record: name(), change })
+        });
+        let hung = |signal: Signal| {
+            let frozen = frozen(&model?.model, record, period_s, signal)?;
+            Some(Diagnostic::Frozen { record: name(), frozen })
+        };
+        // What was not recorded looks like anything.
+        let hung = hung(Signal::Input).or_else(|| hung(Signal::Output));
+        let not_linear = || Some(Diagnostic::Nonlinear { record: name(), found: nonlinear(&model?.model, record)? });
+        [outlying, at_limit, moved, hung.or_else(not_linear)]
+    };
+    training.iter().flat_map(of_record).flatten().collect()
+}
+
+/// Whether the errors of a model of such records are still those of noise. A few outlying values are like noise.
+pub(in crate::identify) fn leaves_sigma(told: &Diagnostic) -> bool {
+    matches!(told, Diagnostic::Outlying { .. })
+}
