@@ -13,6 +13,7 @@ use crate::track::memory::at_rest::Stays;
 use crate::track::memory::usual::Usual;
 use crate::track::model::functions::Encoding;
 use crate::track::model::separation;
+use crate::track::model::stretch::groups;
 use nalgebra::Vector2;
 
 /// Residuals and sizes of a band's blobs may exceed the usual by this many standard deviations, all views together;
@@ -49,7 +50,8 @@ pub(in crate::track) struct Judge {
     usual_size: Usual,
     /// Widths of each band in each view.
     usual_widths: UsualWidths,
-    /// For each marker, the reference of the stretch that it was last part of and whose residuals are known.
+    /// For each marker, the reference of the stretch that it was last part of and whose residuals are known; at first,
+    /// of that which it is part of where all bands are seen.
     stretch: Vec<usize>,
     /// For each reference marker.
     refusals: Vec<Refusals>,
@@ -103,6 +105,19 @@ fn chance(signs: usize) -> f64 {
     signs / 2.0 + 1.8 * (1.25 * signs).sqrt()
 }
 
+/// For each marker, the reference of its stretch where all bands are seen.
+fn whole_stretches(rig: &Rig) -> Vec<usize> {
+    let mut stretch: Vec<usize> = (0..rig.markers.len()).collect();
+    for group in groups(rig, |_, _| true) {
+        for (marker, _) in group.members {
+            if let Some(of_marker) = stretch.get_mut(marker) {
+                *of_marker = group.reference;
+            }
+        }
+    }
+    stretch
+}
+
 impl Judge {
     pub(in crate::track) fn new(rig: &Rig) -> Self {
         Self {
@@ -112,7 +127,7 @@ impl Judge {
             noisier: Noisier::default(),
             usual_size: Usual::new(rig),
             usual_widths: UsualWidths::new(rig),
-            stretch: (0..rig.markers.len()).collect(),
+            stretch: whole_stretches(rig),
             refusals: vec![Refusals::default(); rig.markers.len()],
             disagreement: vec![1.0; rig.markers.len()],
             slip: Seen::default(),
@@ -184,7 +199,7 @@ impl Judge {
                 let of_residuals = if alike == group.reference {
                     self.usual.above(alike, v, rms, common)
                 } else {
-                    self.usual.above_alike(alike, v, rms)
+                    self.usual.above_alike(alike, v, rms, common)
                 };
                 of_residuals.hypot(of_size).hypot(of_widths)
             });
@@ -253,6 +268,7 @@ impl Judge {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::fixture;
     use crate::testing::random::Random;
 
     #[test]
@@ -262,6 +278,18 @@ mod tests {
         assert!(refusals.accepted(), "a few are chance");
         (0..LASTING_REFUSAL).for_each(|_| refusals.refused());
         assert!((0..DISTRUSTED_FRAMES).all(|_| !refusals.accepted()) && refusals.accepted());
+    }
+
+    /// From the first frame on: later ones may show it alone before it was seen together with the coil often enough.
+    #[test]
+    fn a_tip_that_is_alone_is_compared_with_coil_and_tip() {
+        let mut rig = fixture::rig();
+        assert_eq!(whole_stretches(&rig), [0, 1, 2], "nothing is known of their places");
+        for (marker, (length_m, centre_m)) in rig.markers.iter_mut().zip([(6e-3, 6e-3), (12e-3, 85e-3), (6e-3, 107e-3)])
+        {
+            (marker.length_m, marker.centre_m) = (length_m, Some(centre_m));
+        }
+        assert_eq!(Judge::new(&rig).stretch, [0, 1, 1]);
     }
 
     #[test]

@@ -13,8 +13,10 @@
 use crate::rig::Rig;
 use crate::track::memory::by_band::ByBand;
 
-/// Frames before the first comparison, and frames to average over.
+/// Frames before a level is known, and frames to average over.
 const MIN_FRAMES: f64 = 8.0;
+/// Frames after which what is far beyond their mean is no chance, although its scatter is not known yet.
+const FEW_FRAMES: f64 = 3.0;
 const AVERAGED_FRAMES: f64 = 60.0;
 /// Frames for which what was learned counts, at most, in a recording that has more noise: what lasts longer may be how
 /// it is. Where some band looks as learned, what lasts on another is in front of it.
@@ -50,7 +52,20 @@ impl Level {
         (self.frames >= MIN_FRAMES).then(|| (self.mean, self.variance.sqrt().clamp(MIN_SD, MAX_SD)))
     }
 
-    /// The same, or what was learned, as if it scattered by chance alone.
+    /// The same while few frames were seen: as if they scattered about their mean as about what is learned. Something
+    /// may cross in front of a band in a run's first frames.
+    fn soon(&self) -> Option<(f64, f64)> {
+        let of_few = || (self.mean, LEARNED_SD * (1.0 + 1.0 / self.frames).sqrt());
+        self.seen().or_else(|| (self.frames >= FEW_FRAMES).then(of_few))
+    }
+
+    /// What was learned, in a recording in which all values exceed that by `common`, as long as it counts.
+    fn taught(&self, common: f64) -> Option<f64> {
+        let counts = self.compared < COMPARED_FRAMES || common < SAME_NOISE;
+        self.learned.filter(|_| counts).map(|learned| learned + common)
+    }
+
+    /// What is known of enough frames, or what was learned, as if it scattered by chance alone.
     fn usual(&self) -> Option<(f64, f64)> {
         self.seen().or(self.learned.map(|learned| (learned, MIN_SD)))
     }
@@ -89,23 +104,25 @@ impl Usual {
         let Some(level) = self.levels.get_mut(marker, view) else { return 0.0 };
         let (mean, sd) = if let Some(seen) = level.seen() {
             seen
-        } else if let Some(learned) = level.learned
-            && (level.compared < COMPARED_FRAMES || common < SAME_NOISE)
-        {
-            if value.ln() > learned + common + HELD_SD * LEARNED_SD {
+        } else if let Some(taught) = level.taught(common) {
+            if value.ln() > taught + HELD_SD * LEARNED_SD {
                 level.compared = level.compared.saturating_add(1);
             }
-            (learned + common, LEARNED_SD)
+            (taught, LEARNED_SD)
+        } else if let Some(soon) = level.soon() {
+            soon
         } else {
             return 0.0;
         };
         ((value.ln() - mean) / sd).max(0.0)
     }
 
-    /// The same by what was seen of another marker that looks about alike; 0 if too little was.
-    pub(in crate::track) fn above_alike(&self, marker: usize, view: usize, value: f64) -> f64 {
-        let seen = self.levels.get(marker, view).and_then(Level::seen);
-        seen.map_or(0.0, |(mean, sd)| ((value.ln() - mean) / sd.max(LEARNED_SD)).max(0.0))
+    /// The same by what is known of another marker that looks about alike; 0 if too little is.
+    pub(in crate::track) fn above_alike(&self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
+        let Some(level) = self.levels.get(marker, view) else { return 0.0 };
+        let taught = || Some((level.taught(common)?, LEARNED_SD));
+        let known = level.seen().or_else(taught).or_else(|| level.soon());
+        known.map_or(0.0, |(mean, sd)| ((value.ln() - mean) / sd.max(LEARNED_SD)).max(0.0))
     }
 
     /// ln of the factor by which a value differs from what was seen, once enough was.
@@ -114,9 +131,9 @@ impl Usual {
         Some(value.ln() - mean)
     }
 
-    /// Forgets what was seen for long enough to be known. What was learned with the rig counts again.
+    /// Forgets what was seen for long enough to be compared with. What was learned with the rig counts again.
     pub(in crate::track) fn forget(&mut self) {
-        for level in self.levels.iter_mut().filter(|level| level.seen().is_some()) {
+        for level in self.levels.iter_mut().filter(|level| level.soon().is_some()) {
             *level = Level { learned: level.learned, ..Level::default() };
         }
     }
@@ -211,9 +228,29 @@ mod tests {
     #[test]
     fn a_marker_is_compared_with_another_that_looks_alike() {
         let mut usual = Usual::new(&fixture::rig());
-        assert!(!usual.is_known(1, 0) && usual.above_alike(1, 0, 9.0) < 1e-12);
+        assert!(!usual.is_known(1, 0) && usual.above_alike(1, 0, 9.0, 0.0) < 1e-12);
         (0..40).for_each(|_| usual.add(1, 0, 4.0));
-        assert!(usual.is_known(1, 0) && usual.above_alike(1, 0, 5.0) < 2.0 && usual.above_alike(1, 0, 8.0) > 4.5);
+        assert!(
+            usual.is_known(1, 0) && usual.above_alike(1, 0, 5.0, 0.0) < 2.0 && usual.above_alike(1, 0, 8.0, 0.0) > 4.5
+        );
+    }
+
+    /// As of a tip that is seen alone for the first time, by what was learned of coil and tip, or seen in a few frames.
+    #[test]
+    fn little_is_enough_to_tell_what_is_far_beyond_it() {
+        let mut rig = fixture::rig();
+        rig.markers[1].usual_residuals = vec![4.0, 5.0];
+        let learned = Usual::learned(&rig);
+        assert!(learned.above_alike(1, 0, 5.0, 0.0) < 2.0 && learned.above_alike(1, 0, 8.0, 0.0) > 4.5);
+        assert!(learned.above_alike(1, 0, 8.0, 0.7) < 0.1, "the whole recording has more noise");
+        let mut usual = Usual::new(&fixture::rig());
+        (0..2).for_each(|_| usual.add(1, 0, 4.0));
+        assert!(usual.above(1, 0, 12.0, 0.0) < 1e-12, "two frames are too few");
+        usual.add(1, 0, 4.0);
+        assert!(usual.above(1, 0, 12.0, 0.0) > 4.5 && usual.above_alike(1, 0, 12.0, 0.0) > 4.5);
+        assert!(usual.above(1, 0, 5.0, 0.0) < 2.0 && usual.values(1).is_none());
+        usual.forget();
+        assert!(usual.above(1, 0, 12.0, 0.0) < 1e-12, "at rest they were others");
     }
 
     #[test]
