@@ -7,6 +7,9 @@
 //! latest positions is compared with this line. Both have the same errors of rig and image model. By how much it is off
 //! is the error of all positions, if the rig still is where it was at first, and belongs into their covariance; the
 //! slope stays as it is as long as it is off. While the coil is not seen, its direction is any of those before.
+//! A knock must not pass for a bend that sets in with it: where two short means, one right after the other, differ by
+//! more than the slope known so far tells, positions before are not compared with those behind. If they differ by far
+//! more, that step is the error until the line tells whether the band is off it.
 //! The same sums tell how far a single position is from the first, less what the tube bends it (carried.rs), and how
 //! far the band swings with the coil. Beside a clamp it hardly does; a picture that moves with the coil looks the same.
 //!
@@ -42,6 +45,12 @@ const SWINGS_SD: f64 = 5.0;
 const MIN_CHI2: f64 = 12.0;
 /// The same below which a band that had moved is back.
 const BACK_CHI2: f64 = 1.0;
+/// The same of a step between two short means beyond which positions on both sides are not compared (that costs little
+/// where it is none), and beyond which it is an error until the line tells; and by how much more the line must be
+/// against the step than against rest, then.
+const STEP_CHI2: f64 = 4.0;
+const LARGE_STEP_CHI2: f64 = 7.0;
+const NO_STEP_CHI2: f64 = 4.0;
 
 /// The base band's positions.
 #[derive(Debug, Default)]
@@ -57,6 +66,9 @@ pub(in crate::track) struct Moved {
     latest: VecDeque<Sample>,
     /// How far it had moved when it began anew, metres.
     before: Vector3<f64>,
+    /// The largest step that may be a knock, metres, until the line is against it, and the square of it over its
+    /// covariance.
+    step: Option<(Vector3<f64>, f64)>,
     /// Whether it is off the line.
     is_off: bool,
     seen: bool,
@@ -79,6 +91,8 @@ struct Sample {
     direction: Option<Vector3<f64>>,
     position: Vector3<f64>,
     covariance: Matrix3<f64>,
+    /// Whether a step may be here.
+    at_step: bool,
 }
 
 /// Sums over positions p and directions d, weighted.
@@ -167,14 +181,18 @@ impl Moved {
         let Some(origin) = self.origin.or_else(first) else { return };
         self.origin = Some(origin);
         let (direction, position) = (direction.map(|to| to - origin.direction), point.coords - origin.position);
-        self.latest.push_back(Sample { ns: stamp.ns, direction, position, covariance });
+        self.latest.push_back(Sample { ns: stamp.ns, direction, position, covariance, at_step: false });
         // (A clock that is set back ends the mean, too.)
         let is_long = |latest: &VecDeque<Sample>| {
             latest.len() > LATEST && latest.get(1).is_some_and(|next| !(0..LATEST_NS).contains(&(stamp.ns - next.ns)))
         };
         while is_long(&self.latest)
-            && let Some(Sample { direction, position, covariance, .. }) = self.latest.pop_front()
+            && let Some(Sample { direction, position, covariance, at_step, .. }) = self.latest.pop_front()
         {
+            if at_step {
+                self.bends = self.bends + std::mem::take(&mut self.now).scatter();
+                continue;
+            }
             let Some(direction) = direction.filter(|_| !self.is_off) else { continue };
             let weight = 3.0 / covariance.trace() / ALIKE;
             self.all.add(&direction, &position, weight);
@@ -187,19 +205,61 @@ impl Moved {
                 self.bends = self.bends + std::mem::take(&mut self.now).scatter();
             }
         }
+        self.look_for_step();
         self.swinging = self.swinging.saturating_add(u32::from(self.swing_m() > Some(SWINGS_M)));
     }
 
     /// The covariance of the move, m²; zero if there is none.
     pub(in crate::track) fn covariance(&mut self) -> Matrix3<f64> {
-        let (mut off, chi2) = self.off().unwrap_or_default();
+        let (mut off, variance) = self.off().unwrap_or_default();
+        let chi2 = chi_square(&off, variance).unwrap_or_default();
         self.is_off = chi2 > if self.is_off { BACK_CHI2 } else { MIN_CHI2 };
         self.seen |= self.is_off;
+        let against = |step: &Vector3<f64>| Some(chi_square(&(off - step), variance)? - chi2);
+        let is_open = |step: &Vector3<f64>| against(step).is_some_and(|more| more < NO_STEP_CHI2);
+        self.step = self.step.filter(|(step, _)| is_open(step));
         if !self.is_off {
-            off = Vector3::zeros();
+            off = self.step.map_or_else(Vector3::zeros, |(step, _)| step);
         }
         off += self.before;
         off * off.transpose()
+    }
+
+    /// Compares the older half of the latest positions with the newer.
+    fn look_for_step(&mut self) {
+        let middle = self.latest.len() / 2;
+        let Some((step, chi2)) = self.step_at(middle).filter(|(_, chi2)| *chi2 > STEP_CHI2) else { return };
+        if let Some(sample) = self.latest.get_mut(middle) {
+            sample.at_step = true;
+        }
+        if chi2 > self.step.map_or(LARGE_STEP_CHI2, |(_, most)| most) {
+            self.step = Some((step, chi2));
+        }
+    }
+
+    /// How far the mean of the latest positions from `middle` on is from that of those before, less what the tube bent
+    /// the band, metres, and the square of that over its covariance; `None` with too few positions, or where the coil
+    /// was not seen.
+    fn step_at(&self, middle: usize) -> Option<(Vector3<f64>, f64)> {
+        if self.latest.len() < LATEST || self.first.frames < LATEST || self.is_off {
+            return None;
+        }
+        let mean = |samples: [usize; 2]| {
+            let mut sums = (Vector3::zeros(), Vector3::zeros(), Matrix3::zeros());
+            for sample in self.latest.range(samples[0]..samples[1]) {
+                sums = (sums.0 + sample.position, sums.1 + sample.direction?, sums.2 + sample.covariance);
+            }
+            let count = (samples[1] - samples[0]) as f64;
+            Some((sums.0 / count, sums.1 / count, sums.2 / count))
+        };
+        let (before, from, own_before) = mean([0, middle])?;
+        let (now, to, own) = mean([middle, self.latest.len()])?;
+        let (slope, uncertain) = self.slope(BENT_M)?;
+        let turned = to - from;
+        let step = now - before - slope.tr_mul(&turned);
+        // As for the line, of many positions that may have the same error.
+        let variance = (own_before + own) / 2.0 + Matrix3::from_diagonal_element(turned.dot(&(uncertain * turned)));
+        Some((step, chi_square(&step, variance)?))
     }
 
     /// How the band moves when the coil turns, and how uncertain that is ([`Bends::slope`]).
@@ -223,9 +283,9 @@ impl Moved {
         (way_m > SWINGS_SD * variance.sqrt()).then_some(way_m)
     }
 
-    /// How far the latest positions are from the line, metres, and the square of that over its covariance; `None` with
-    /// too few positions.
-    fn off(&self) -> Option<(Vector3<f64>, f64)> {
+    /// How far the latest positions are from the line, metres, and the covariance of that; `None` with too few
+    /// positions.
+    fn off(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         if self.latest.len() < LATEST || self.first.frames < LATEST {
             return None;
         }
@@ -246,7 +306,7 @@ impl Moved {
             let bent = slope.tr_mul(&(scatter * slope)) + Matrix3::from_diagonal_element((uncertain * scatter).trace());
             variance += bent * hidden;
         }
-        Some((off, chi_square(&off, variance)?))
+        Some((off, variance))
     }
 }
 
@@ -356,6 +416,31 @@ mod tests {
         let (crept, seen) = follow(600, |k| bent(k) + to * (k as f64 / 600.0));
         let part = (crept[599].trace() / to.norm_squared()).sqrt();
         assert!(seen && (0.85..1.1).contains(&part), "{part}");
+    }
+
+    /// In the middle of a swing that grows: a bend that sets in with the knock would explain it for a while.
+    #[test]
+    fn a_knock_in_a_growing_swing_is_no_bend() {
+        let to = Vector3::new(1.8e-4, 0.0, -1.8e-4);
+        let added = |at: &dyn Fn(usize) -> Vector3<f64>| {
+            let (mut moved, mut random) = (Moved::default(), Random::new(5));
+            let mut of_frame = |k: usize| {
+                let angle = 2.5e-3 * k.min(180) as f64 * (0.1 * k as f64).sin();
+                let error = Vector3::from_fn(|_, _| 0.2 * SD_M * random.normal());
+                let (sin, cos) = angle.sin_cos();
+                moved.add(stamp(k), &base(Point3::from(at(k) + error)), Some(&Vector3::new(sin, cos, 0.0)));
+                moved.covariance()
+            };
+            (0..240).map(&mut of_frame).map(|covariance| covariance.trace().sqrt()).collect::<Vec<_>>()
+        };
+        let least = |knock: usize| {
+            let added = added(&|k| if k < knock { Vector3::zeros() } else { to });
+            assert!(added[..knock].iter().all(|added| *added == 0.0), "{knock}");
+            added[knock + 10..].iter().copied().fold(f64::INFINITY, f64::min) / to.norm()
+        };
+        let least = [70, 80, 90, 100, 110, 120].map(least);
+        assert!(least.iter().all(|least| *least > 0.5), "{least:?}");
+        assert!(added(&|_| Vector3::zeros()).iter().all(|added| *added == 0.0));
     }
 
     #[test]
