@@ -27,6 +27,8 @@ const MAX_UNDECODED: usize = 1000;
 /// Packets that are read before they are decoded, so that they can be checked meanwhile. Threads may have to wait for a
 /// processor as long as some pictures take.
 const READ_AHEAD: usize = 4;
+/// libav's name of containers whose packets have no times, but are counted.
+const AVI: &str = "avi";
 /// Frames that the declared length of a recording may have after its last packet's time of decoding: more than coders
 /// reorder.
 const LAST_FRAMES: f64 = 5.0;
@@ -103,6 +105,9 @@ pub(super) struct Decoding {
     read_at: VecDeque<(Option<i64>, Instant)>,
     /// Times of packets without a presentation time (AVI), in decoding order: pictures take them in turn.
     in_turn: VecDeque<i64>,
+    /// Whether all pictures take them: of an AVI with B pictures in MPEG-4, libav knows presentation times of some, and
+    /// counts them otherwise.
+    pub takes_turns: bool,
     /// Whether the recording itself trims frames at the end.
     trimmed: bool,
     /// Whether the container was found to be damaged, and that was told.
@@ -156,6 +161,7 @@ impl Decoding {
             reached_ns: None,
             read_at: VecDeque::new(),
             in_turn: VecDeque::new(),
+            takes_turns: false,
             trimmed: false,
             damage_told: false,
             latest_dts: None,
@@ -337,7 +343,9 @@ impl Decoding {
                 Ok(Read { packet: next, after_damage, before_damage }) => {
                     let packet = &*next.packet;
                     let pts = packet.pts().or(packet.dts());
-                    if packet.pts().is_none() && self.clock == Clock::Container {
+                    self.takes_turns |= packet.pts().is_none() && self.input.format().name() == AVI;
+                    let in_turn = packet.pts().is_none() || self.takes_turns;
+                    if in_turn && self.clock == Clock::Container {
                         self.in_turn.extend(packet.dts());
                     }
                     let number = self.damage.packet(pts, packet.is_key());
@@ -352,7 +360,7 @@ impl Decoding {
                     }
                     self.messages.packet(&mut self.decoder, number);
                     if packet.is_corrupt() {
-                        if packet.pts().is_none() {
+                        if in_turn {
                             // No picture will take its time.
                             self.in_turn.pop_back();
                         }
@@ -481,7 +489,7 @@ impl Decoding {
     /// At the end of an AVI, whose packets have no times but are counted: whether it declares more of them.
     fn note_missing(&mut self) {
         let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
-        let (Some(latest), true) = (self.latest_dts, self.input.format().name() == "avi") else { return };
+        let (Some(latest), true) = (self.latest_dts, self.input.format().name() == AVI) else { return };
         let missing = frames.saturating_sub(latest.saturating_add(1));
         if self.packets.is_none() || missing < 1 {
             return;

@@ -261,7 +261,7 @@ impl VideoFile {
             self.decoding.reached_ns = Some(ns);
             return Ok(Timestamp { ns, clock: Clock::StatedRate });
         }
-        let ticks = match frame.pts() {
+        let ticks = match frame.pts().filter(|_| !self.decoding.takes_turns) {
             Some(pts) => pts,
             None if self.clock == Clock::Stream && !self.has_times() => self.seq.cast_signed(),
             None => self.guessed(frame)?,
