@@ -18,7 +18,7 @@ const MIN_REPETITIONS: usize = 39;
 const SEED: u64 = 0x00CA_7097;
 
 /// Estimates `of` from `count` repetitions of the experiment. Repetitions for which `of` fails are left out.
-pub(crate) fn repeat<T: Send>(
+pub(super) fn repeat<T: Send>(
     segments: &[Segment],
     model: &Polynomials,
     noise: Noise,
@@ -98,7 +98,7 @@ fn from_output(model: &Polynomials, output: &[f64]) -> Vec<f64> {
 
 /// The interval that contains one more such value with a probability of 95 %: of N, the ones at 0.025 (N + 1) and
 /// 0.975 (N + 1) by size. `None` for too few.
-pub(crate) fn middle_95(mut values: Vec<f64>) -> Option<(f64, f64)> {
+pub(super) fn middle_95(mut values: Vec<f64>) -> Option<(f64, f64)> {
     if values.len() < MIN_REPETITIONS {
         return None;
     }

@@ -1,8 +1,8 @@
 //! From prepared records to an identification: the settings, the steps in their order, the result, its scatter and its
 //! warnings.
 
-pub(crate) mod bootstrap;
+mod bootstrap;
 pub(crate) mod identification;
 pub(crate) mod settings;
 pub(crate) mod steps;
-pub(crate) mod warnings;
+pub(super) mod warnings;

@@ -46,7 +46,7 @@ pub(in crate::identify) fn slow(period_s: f64) -> Option<Diagnostic> {
 }
 
 /// All diagnostics about a result. `commanded`: the input was told to the system.
-pub(in crate::identify) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -> Vec<Diagnostic> {
+pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -> Vec<Diagnostic> {
     let mut diagnostics: Vec<Diagnostic> = slow(data.period_s).into_iter().collect();
     for model in &done.models {
         let (title, largest_pole) = (model.title.clone(), model.largest_pole);

@@ -62,7 +62,7 @@ impl fmt::Display for Frozen {
 }
 
 /// The longest run of a record, if it is no sound input's.
-pub(in crate::identify) fn frozen(model: &Polynomials, record: &Record, period_s: f64, of: Signal) -> Option<Frozen> {
+pub(super) fn frozen(model: &Polynomials, record: &Record, period_s: f64, of: Signal) -> Option<Frozen> {
     let signal = |segment: &Segment| match of {
         Signal::Input => segment.input.clone(),
         Signal::Output => segment.output.clone(),

@@ -40,7 +40,7 @@ impl fmt::Display for GainChange {
 }
 
 /// Where the gain of a record changes, as `model` tells; `None` where it does not.
-pub(in crate::identify) fn gain_change(model: &Polynomials, record: &Record, period_s: f64) -> Option<GainChange> {
+pub(super) fn gain_change(model: &Polynomials, record: &Record, period_s: f64) -> Option<GainChange> {
     let mut samples = Vec::new();
     for segment in &record.segments {
         let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));

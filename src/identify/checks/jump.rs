@@ -39,7 +39,7 @@ impl fmt::Display for Jump {
 }
 
 /// Where the output of a record jumps, as `model` tells; `None` where it does not.
-pub(in crate::identify) fn jump(model: &Polynomials, record: &Record, period_s: f64) -> Option<Jump> {
+pub(super) fn jump(model: &Polynomials, record: &Record, period_s: f64) -> Option<Jump> {
     let (mut times_s, mut left, mut outputs) = (Vec::new(), Vec::new(), Vec::new());
     for segment in &record.segments {
         let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));

@@ -127,7 +127,7 @@ impl fmt::Display for Nonlinear {
 
 /// The most significant static element, if any is; else friction, as which the simulation may see the others too.
 /// `model` is a stable one of the record.
-pub(in crate::identify) fn nonlinear(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
+pub(super) fn nonlinear(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
     let is_told = |found: &Nonlinear| found.sigmas.abs() > SIGNIFICANT_SD;
     let told = of_static_elements(model, record).into_iter().flatten().filter(is_told);
     told.max_by(|a, b| a.sigmas.abs().total_cmp(&b.sigmas.abs())).or_else(|| friction(model, record).filter(is_told))

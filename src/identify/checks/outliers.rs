@@ -46,7 +46,7 @@ impl fmt::Display for Outliers {
 
 /// The output's distance from the model, compared with that of the neighbours: whatever the model does not explain
 /// but is slower than the samples is no outlier.
-pub(in crate::identify) fn outliers(model: &Polynomials, record: &Record, period_s: f64) -> Option<Outliers> {
+pub(super) fn outliers(model: &Polynomials, record: &Record, period_s: f64) -> Option<Outliers> {
     let mut all: Vec<(f64, bool, Outliers)> = Vec::new();
     for segment in &record.segments {
         let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
@@ -75,7 +75,7 @@ pub(in crate::identify) fn outliers(model: &Polynomials, record: &Record, period
 }
 
 /// A limit at which the output stays: how often, and its value.
-pub(in crate::identify) fn limit(record: &Record) -> Option<(usize, f64)> {
+pub(super) fn limit(record: &Record) -> Option<(usize, f64)> {
     let outputs = record.segments.iter().flat_map(|s| &s.output).copied().filter(|y| !y.is_nan());
     let mut sorted: Vec<f64> = outputs.collect();
     sorted.sort_by(f64::total_cmp);

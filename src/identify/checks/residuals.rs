@@ -124,7 +124,7 @@ impl Residuals {
 }
 
 /// Whether `outside` of `of` lags are more than chance explains.
-pub(crate) fn too_many((outside, of): (usize, usize)) -> bool {
+pub(in crate::identify) fn too_many((outside, of): (usize, usize)) -> bool {
     outside as f64 > MAX_OUTSIDE * of as f64
 }
 

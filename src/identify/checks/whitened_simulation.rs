@@ -22,7 +22,7 @@ const ENOUGH: f64 = 0.5;
 
 /// What is left, and what explains it.
 #[derive(Debug, Clone)]
-pub(in crate::identify) struct Whitened {
+pub(super) struct Whitened {
     triangle: DMatrix<f64>,
     rows: usize,
     /// Numbers fitted besides: initial states.
@@ -66,19 +66,19 @@ impl Whitened {
     }
 
     /// Samples less the numbers fitted.
-    pub(in crate::identify) fn freedom(&self) -> f64 {
+    pub(super) fn freedom(&self) -> f64 {
         (self.rows as f64 / self.alike) - (self.triangle.ncols() - 1 + self.besides) as f64
     }
 
     /// −2 ln(likelihood) of the best model nearby, up to a constant.
-    pub(in crate::identify) fn deviance(&self) -> f64 {
+    pub(super) fn deviance(&self) -> f64 {
         let left = self.triangle.diagonal().iter().next_back().map_or(f64::NAN, |left| left * left);
         self.rows as f64 / self.alike * left.ln()
     }
 
     /// How much columns explain, those before them known: χ² of as many degrees of freedom where they explain nothing.
     /// The smaller of two: for noise of one variance, and for noise whose variance changes.
-    pub(in crate::identify) fn explained_by(&self, columns: std::ops::Range<usize>) -> f64 {
+    pub(super) fn explained_by(&self, columns: std::ops::Range<usize>) -> f64 {
         let last = self.triangle.ncols() - 1;
         let along = DVector::from_iterator(
             columns.len(),

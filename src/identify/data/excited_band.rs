@@ -14,13 +14,13 @@ const BAND_TAIL: f64 = 0.01;
 const PADDING: usize = 1;
 
 /// Lower and upper edge, Hz; everything up to half the sampling rate for an input that does not change.
-pub(in crate::identify) fn excited_hz(segments: &[Segment], period_s: f64) -> (f64, f64) {
+pub(super) fn excited_hz(segments: &[Segment], period_s: f64) -> (f64, f64) {
     band_hz(segments.iter().map(|segment| &segment.input[..]), period_s)
 }
 
 /// Frequency below which 99 % of the output's energy lies, Hz. Outputs that are missing are taken from a line between
 /// their neighbours.
-pub(in crate::identify) fn output_ends_hz(segments: &[Segment], period_s: f64) -> f64 {
+pub(super) fn output_ends_hz(segments: &[Segment], period_s: f64) -> f64 {
     let outputs: Vec<Vec<f64>> = segments.iter().map(|segment| bridged(&segment.output, usize::MAX)).collect();
     band_hz(outputs.iter().map(Vec::as_slice), period_s).1
 }

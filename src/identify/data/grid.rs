@@ -222,7 +222,7 @@ fn other_rate(time_s: &[f64], places: &[usize], k: usize) -> Option<(f64, f64)> 
 
 /// The usual interval: the mean of those near the median, since whole milliseconds have a median of 17 ms at 60 Hz, by
 /// which an interval of 13 periods would already be a quarter of one off. The times must rise.
-pub(in crate::identify) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridError> {
+pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridError> {
     if time_s.len() < 2 {
         return Err(GridError::TooFew { name: name.to_owned(), samples: time_s.len() });
     }

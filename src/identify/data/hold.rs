@@ -69,7 +69,7 @@ pub(crate) struct Held {
 
 impl Held {
     /// From commands in any order; of several at the same time the last counts.
-    pub(crate) fn new(mut commands: Vec<(f64, f64)>) -> Self {
+    pub(in crate::identify) fn new(mut commands: Vec<(f64, f64)>) -> Self {
         commands.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut held = Self::default();
         for (t, value) in commands {
@@ -140,7 +140,7 @@ impl Held {
     }
 
     /// Average from `from_s` to the later `to_s`. `None` before the first command: the output then is unknown.
-    pub(crate) fn mean(&self, from_s: f64, to_s: f64) -> Option<f64> {
+    pub(in crate::identify) fn mean(&self, from_s: f64, to_s: f64) -> Option<f64> {
         Some((self.integral_to(to_s)? - self.integral_to(from_s)?) / (to_s - from_s))
     }
 

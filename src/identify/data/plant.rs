@@ -22,7 +22,7 @@ impl Plant {
     }
 
     /// Change of the torque when the angle is measured from a zero that lies higher: −∂torque/∂θ, N·m per rad.
-    pub(crate) fn torque_by_zero(&self, current_a: f64, theta_rad: f64) -> f64 {
+    pub(super) fn torque_by_zero(&self, current_a: f64, theta_rad: f64) -> f64 {
         current_a * self.torque_per_ampere_nm * theta_rad.sin() + self.weight_torque_nm * theta_rad.cos()
     }
 

@@ -123,7 +123,7 @@ pub struct Data {
 }
 
 /// Holes of up to `most` samples filled by a line between their neighbours.
-pub(in crate::identify) fn bridged(signal: &[f64], most: usize) -> Vec<f64> {
+pub(super) fn bridged(signal: &[f64], most: usize) -> Vec<f64> {
     let mut filled = signal.to_vec();
     let known: Vec<usize> = (0..signal.len()).filter(|k| !signal[*k].is_nan()).collect();
     for pair in known.windows(2) {

@@ -54,7 +54,7 @@ pub struct Spectrum {
 }
 
 /// Averages the spectra. `None` when no segment is as long as the shortest piece, or there would be only one piece.
-pub(crate) fn spectrum(segments: &[Segment], period_s: f64) -> Option<Spectrum> {
+pub(in crate::identify) fn spectrum(segments: &[Segment], period_s: f64) -> Option<Spectrum> {
     let total: usize = segments.iter().map(Segment::len).sum();
     let longest = segments.iter().map(Segment::len).max()?;
     let mut length = SHORTEST;

@@ -27,7 +27,7 @@ const PARAMETER_TOLERANCE: f64 = 1e-6;
 /// # Errors
 /// [`IdentifyError::Unstable`] when `initial` is or becomes unstable, [`IdentifyError::Dependent`] when the instruments
 /// do not determine the parameters, [`IdentifyError::TooShort`] as for ARX.
-pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
+pub(in crate::identify) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
     let orders = initial.orders();
     let drivers: Vec<Segment> = segments.iter().map(driven_by_instrument).collect();
     // The response of the output to the instrument: linear here, whatever the true feedback. An instrument needs no

@@ -28,7 +28,10 @@ const DESCENT: Descent = Descent { first_damping: 1e-4, tolerance: 1e-12, max_st
 ///
 /// # Errors
 /// That of [`refine`] for the first, when none can be refined.
-pub(crate) fn refine_from_any(segments: &[Segment], initial: &[Polynomials]) -> Result<Refined, IdentifyError> {
+pub(in crate::identify) fn refine_from_any(
+    segments: &[Segment],
+    initial: &[Polynomials],
+) -> Result<Refined, IdentifyError> {
     let mut first_error = None;
     let mut best: Option<Refined> = None;
     for model in initial {
@@ -51,7 +54,7 @@ pub(crate) fn refine_from_any(segments: &[Segment], initial: &[Polynomials]) -> 
 ///
 /// # Errors
 /// As [`nearest`], and [`IdentifyError::Dependent`] when the derivatives do not determine the parameters.
-pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
+pub(in crate::identify) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
     let Nearest { model, noise_variance, samples, steps, converged } = nearest(segments, initial)?;
     let linearised = linearised(segments, &model, Derivatives::OfModel);
     let dependent = || IdentifyError::Dependent { orders: model.orders() };
@@ -75,8 +78,8 @@ pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refi
 
 /// The model nearest to the output, without its uncertainty.
 #[derive(Debug, Clone)]
-pub(crate) struct Nearest {
-    pub(crate) model: Polynomials,
+pub(in crate::identify) struct Nearest {
+    pub(in crate::identify) model: Polynomials,
     noise_variance: f64,
     samples: usize,
     steps: usize,
@@ -88,7 +91,7 @@ pub(crate) struct Nearest {
 /// # Errors
 /// [`IdentifyError::Unstable`] when `initial` is, [`IdentifyError::TooShort`] and [`IdentifyError::Dependent`] as for
 /// ARX.
-pub(crate) fn nearest(segments: &[Segment], initial: &Polynomials) -> Result<Nearest, IdentifyError> {
+pub(in crate::identify) fn nearest(segments: &[Segment], initial: &Polynomials) -> Result<Nearest, IdentifyError> {
     let orders = initial.orders();
     if !initial.is_stable() {
         return Err(IdentifyError::Unstable { orders, largest_pole: initial.largest_pole() });
@@ -108,7 +111,7 @@ pub(crate) fn nearest(segments: &[Segment], initial: &Polynomials) -> Result<Nea
 }
 
 /// Numbers that are fitted besides the model: initial states and zeros, which are projected out.
-pub(in crate::identify) fn fitted_besides(segments: &[Segment], model: &Polynomials) -> usize {
+pub(super) fn fitted_besides(segments: &[Segment], model: &Polynomials) -> usize {
     // Each segment that does not begin at rest has its own initial state.
     let states: usize = segments.iter().filter_map(|s| free_initial_state(s, model)).map(|open| open.ncols()).sum();
     let zeros: BTreeSet<usize> = segments.iter().filter(|s| s.by_zero.is_some()).map(|s| s.record).collect();
@@ -128,7 +131,7 @@ fn free_initial_state(segment: &Segment, model: &Polynomials) -> Option<DMatrix<
 }
 
 /// Residuals from which the output's zero is not projected out, as one column for each segment.
-pub(in crate::identify) fn residuals(segments: &[Segment], model: &Polynomials) -> Vec<Columns> {
+pub(super) fn residuals(segments: &[Segment], model: &Polynomials) -> Vec<Columns> {
     segments.iter().map(|segment| columns(segment, model, Derivatives::None, None)).collect()
 }
 
@@ -148,7 +151,7 @@ fn project_out(open: &DMatrix<f64>, signal: &mut DVectorViewMut<'_, f64>) -> DVe
 }
 
 /// Sum of squared residuals; infinite where the simulation diverges.
-pub(in crate::identify) fn squares(segments: &[Segment], model: &Polynomials) -> f64 {
+pub(super) fn squares(segments: &[Segment], model: &Polynomials) -> f64 {
     let sum: f64 = linearised(segments, model, Derivatives::None).iter().map(DMatrix::norm_squared).sum();
     if sum.is_finite() { sum } else { f64::INFINITY }
 }
@@ -159,7 +162,7 @@ fn linearise(segments: &[Segment], model: &Polynomials) -> DMatrix<f64> {
 }
 
 /// The rows of the observed samples as a triangle.
-pub(in crate::identify) fn triangle(segments: &[Segment], rows: &[DMatrix<f64>]) -> DMatrix<f64> {
+pub(super) fn triangle(segments: &[Segment], rows: &[DMatrix<f64>]) -> DMatrix<f64> {
     let mut triangle = Triangle::new(rows.first().map_or(0, DMatrix::ncols));
     for (segment, rows) in segments.iter().zip(rows) {
         for (_, row) in rows.row_iter().enumerate().filter(|(t, _)| !segment.output[*t].is_nan()) {

@@ -152,7 +152,7 @@ fn columns(all: &DMatrix<f64>, largest: Orders, orders: Orders) -> DMatrix<f64> 
 }
 
 /// The best stable candidate. `None` when all are unstable, or there are no validation data.
-pub(crate) fn best(candidates: &[Candidate], criterion: Criterion) -> Option<&Candidate> {
+pub(in crate::identify) fn best(candidates: &[Candidate], criterion: Criterion) -> Option<&Candidate> {
     let stable = || candidates.iter().filter(|c| c.largest_pole < 1.0);
     let value = |c: &Candidate| c.value(criterion);
     let smallest = stable().filter_map(value).filter(|v| v.is_finite()).min_by(f64::total_cmp)?;

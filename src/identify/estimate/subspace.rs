@@ -24,7 +24,7 @@ const MAX_ROWS: usize = 40_000;
 
 /// Weighting of the directions of the future.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Weight {
+pub(super) enum Weight {
     /// Equal weights.
     None,
     /// By the scatter of the future outputs: those with less noise count more.
@@ -32,7 +32,7 @@ pub(crate) enum Weight {
 }
 
 /// A stable model of these orders. `None` when the record is too short, the states cannot be found, or A is unstable.
-pub(crate) fn fit(segments: &[Segment], orders: Orders, weight: Weight) -> Option<Polynomials> {
+pub(super) fn fit(segments: &[Segment], orders: Orders, weight: Weight) -> Option<Polynomials> {
     let Orders { na: n, nb, nk } = orders;
     if n == 0 {
         return None;

@@ -35,22 +35,22 @@ impl Zero {
 
 /// Columns of a segment with a row for each sample, zero where nothing was observed.
 #[derive(Debug, Clone)]
-pub(in crate::identify) struct Columns {
-    pub(in crate::identify) record: usize,
-    pub(in crate::identify) matrix: DMatrix<f64>,
+pub(super) struct Columns {
+    pub(super) record: usize,
+    pub(super) matrix: DMatrix<f64>,
     /// d, if the zero is fitted.
-    pub(in crate::identify) by_zero: Option<DVector<f64>>,
+    pub(super) by_zero: Option<DVector<f64>>,
 }
 
 /// d without the initial state.
-pub(in crate::identify) fn response(segment: &Segment, model: &Polynomials) -> Option<Vec<f64>> {
+pub(super) fn response(segment: &Segment, model: &Polynomials) -> Option<Vec<f64>> {
     let by_input = model.simulate(segment.by_zero.as_deref()?);
     let observed = segment.output.iter().zip(by_input).take(segment.len());
     Some(observed.map(|(y, by_input)| if y.is_nan() { 0.0 } else { 1.0 + by_input }).collect())
 }
 
 /// Takes d out of the columns of each record.
-pub(in crate::identify) fn project_out(segments: &mut [Columns]) {
+pub(super) fn project_out(segments: &mut [Columns]) {
     let parts = parts(segments);
     for Columns { record, matrix, by_zero } in segments {
         if let (Some(by_zero), Some((part, _))) = (by_zero, parts.get(record)) {
@@ -77,7 +77,7 @@ fn parts(segments: &[Columns]) -> BTreeMap<usize, (RowDVector<f64>, f64)> {
 
 /// The zero of one record that goes with the parameters of a model and more. `residual` gives the residuals of any
 /// parameters, as one column; `colour` and `noise_variance` are those of the residuals with the zero fitted.
-pub(in crate::identify) fn zero(
+pub(super) fn zero(
     parameters: &[f64],
     covariance: &Covariance,
     residual: impl Fn(&[f64]) -> Option<Vec<Columns>>,

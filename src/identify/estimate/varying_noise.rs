@@ -15,7 +15,7 @@ const CLEARLY: f64 = 4.0;
 
 /// Factors of the standard deviations, 1 or more. `inverse`: R⁻¹ with RᵀR = JᵀJ; `alike`: samples that say as much as
 /// one. Residuals are NaN where nothing was observed.
-pub(in crate::identify) fn factors(
+pub(super) fn factors(
     derivatives: &[DMatrix<f64>],
     residuals: &[Vec<f64>],
     inverse: &DMatrix<f64>,

@@ -75,7 +75,7 @@ impl Bandwidth {
 }
 
 /// The bandwidth of a response up to `highest_hz`, from data excited in `excited_hz`.
-pub(crate) fn bandwidth(
+pub(in crate::identify) fn bandwidth(
     definition: Definition,
     response: impl Fn(f64) -> Complex<f64>,
     highest_hz: f64,

@@ -54,7 +54,7 @@ impl Covariance {
     /// The 95 % interval of `of(parameters)`: its values 1.96 σ away on either side, along the direction in which it
     /// changes most. That follows its curvature, as a profile of the likelihood does (Pawitan, In All Likelihood,
     /// section 3.4), to the accuracy of the direction. `None` when `of` has no value there: the interval is open.
-    pub(crate) fn interval_95(&self, parameters: &[f64], of: impl Fn(&[f64]) -> Option<f64>) -> Option<(f64, f64)> {
+    pub(super) fn interval_95(&self, parameters: &[f64], of: impl Fn(&[f64]) -> Option<f64>) -> Option<(f64, f64)> {
         let gradient = self.propagate(parameters, |p| of(p).map(|value| vec![value]))?.factor;
         let direction = &self.factor * gradient.transpose() / gradient.norm();
         let at = |by: f64| {

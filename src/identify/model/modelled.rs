@@ -28,7 +28,8 @@ pub enum Role {
 
 impl Role {
     /// The model to use is the first of these that exists.
-    pub(crate) const LEADING: [Self; 5] = [Self::Periodic, Self::Given, Self::Refined, Self::Reduced, Self::Full];
+    pub(in crate::identify) const LEADING: [Self; 5] =
+        [Self::Periodic, Self::Given, Self::Refined, Self::Reduced, Self::Full];
 
     /// The name in files.
     pub fn word(self) -> &'static str {

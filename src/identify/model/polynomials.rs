@@ -159,17 +159,17 @@ impl Polynomials {
 }
 
 /// Past samples needed for a prediction.
-pub(crate) fn memory(na: usize, nb: usize, nk: usize) -> usize {
+pub(in crate::identify) fn memory(na: usize, nb: usize, nk: usize) -> usize {
     na.max((nb + nk).saturating_sub(1))
 }
 
 /// Radians per sample at `frequency_hz`.
-pub(crate) fn angle(frequency_hz: f64, period_s: f64) -> f64 {
+pub(in crate::identify) fn angle(frequency_hz: f64, period_s: f64) -> f64 {
     TAU * frequency_hz * period_s
 }
 
 /// From one angle to the next the short way round, from −π to below π.
-pub(in crate::identify) fn turn(from: f64, to: f64) -> f64 {
+pub(super) fn turn(from: f64, to: f64) -> f64 {
     (to - from + PI).rem_euclid(TAU) - PI
 }
 

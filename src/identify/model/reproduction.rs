@@ -45,7 +45,7 @@ pub struct FitError {
 
 /// Compares all segments. NaN where there is nothing to compare, or the observed signal is zero; infinite where an
 /// unstable model overflowed.
-pub(crate) fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitError {
+pub(in crate::identify) fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitError {
     let mut sums = Sums::default();
     for segment in segments {
         let modelled = output(model, segment, kind);

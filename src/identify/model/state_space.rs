@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, RowDVector};
 
 /// One input, one output, `n` states.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct StateSpace {
+pub(in crate::identify) struct StateSpace {
     /// n × n.
     pub a: DMatrix<f64>,
     /// n.
@@ -38,7 +38,7 @@ impl StateSpace {
     /// The same system in orthogonal coordinates in which A is nearly triangular. In companion form the powers of A
     /// grow by many powers of ten before they decay, and with them rounding errors; here they do not. Unchanged, when
     /// the coordinates are not found.
-    pub(crate) fn triangular(&self) -> Self {
+    pub(in crate::identify) fn triangular(&self) -> Self {
         match real_schur(&self.a) {
             Some((q, a)) => Self { a, b: q.tr_mul(&self.b), c: &self.c * q, d: self.d },
             None => self.clone(),
@@ -46,12 +46,12 @@ impl StateSpace {
     }
 
     /// Number of states.
-    pub(crate) fn order(&self) -> usize {
+    pub(in crate::identify) fn order(&self) -> usize {
         self.a.nrows()
     }
 
     /// In parallel: the sum of both outputs for the same input.
-    pub(crate) fn sum(&self, other: &Self) -> Self {
+    pub(in crate::identify) fn sum(&self, other: &Self) -> Self {
         let (n, m) = (self.order(), other.order());
         let mut a = DMatrix::zeros(n + m, n + m);
         a.view_mut((0, 0), (n, n)).copy_from(&self.a);
@@ -67,7 +67,7 @@ impl StateSpace {
 
     /// As polynomials: A is the characteristic polynomial, B its product with the impulse response (determined by the
     /// first n + 1 values, without differences of large numbers).
-    pub(crate) fn polynomials(&self) -> Polynomials {
+    pub(in crate::identify) fn polynomials(&self) -> Polynomials {
         let n = self.order();
         let a = characteristic(&self.a);
         let mut impulse = vec![self.d];

@@ -11,11 +11,11 @@ const RANK: f64 = 1e-14;
 #[derive(Debug, Clone)]
 pub(crate) struct Balanced {
     /// States from balanced ones: a column for each.
-    pub(crate) into: DMatrix<f64>,
+    pub(in crate::identify) into: DMatrix<f64>,
     /// Balanced states from those: a row for each.
     pub(crate) from: DMatrix<f64>,
     /// All Hankel singular values, the largest first.
-    pub(crate) values: Vec<f64>,
+    pub(in crate::identify) values: Vec<f64>,
 }
 
 impl Balanced {

@@ -16,7 +16,7 @@ const PER_WIDTH: f64 = 8.0;
 
 /// Factor of the controllability Gramian, of one input or several. For the observability Gramian give Aᵀ and cᵀ. `None`
 /// when A is not stable.
-pub(crate) fn factor<C: Dim, S: Storage<f64, Dyn, C>>(
+pub(in crate::identify) fn factor<C: Dim, S: Storage<f64, Dyn, C>>(
     a: &DMatrix<f64>,
     b: &Matrix<f64, Dyn, C, S>,
 ) -> Option<DMatrix<f64>> {
@@ -43,7 +43,7 @@ pub(crate) fn factor<C: Dim, S: Storage<f64, Dyn, C>>(
 /// Factors of both Gramians, limited to frequencies from `low` to `high` radians per sample (Gawronski and Juang, Int.
 /// J. Systems Sci. 21, 1990, doi:10.1080/00207729008910366): P = 1/π Re ∫ (e^{iω} − A)⁻¹ b bᵀ (e^{iω} − A)⁻ᴴ dω, by the
 /// midpoint rule, fine enough for the sharpest resonance. `None` when a pole lies on the unit circle in the band.
-pub(crate) fn band_factors<B: Dim, C: Dim, S: Storage<f64, Dyn, B>, T: Storage<f64, C, Dyn>>(
+pub(in crate::identify) fn band_factors<B: Dim, C: Dim, S: Storage<f64, Dyn, B>, T: Storage<f64, C, Dyn>>(
     a: &DMatrix<f64>,
     b: &Matrix<f64, Dyn, B, S>,
     c: &Matrix<f64, C, Dyn, T>,

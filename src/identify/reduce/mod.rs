@@ -1,5 +1,5 @@
 //! A model with fewer states: balanced truncation, over all frequencies or in a band.
 
-pub(crate) mod balance;
-pub(crate) mod gramian;
+pub(super) mod balance;
+pub(super) mod gramian;
 pub(crate) mod truncation;

@@ -38,7 +38,7 @@ pub enum Target {
 
 /// How to reduce.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Reduction {
+pub(in crate::identify) struct Reduction {
     /// Target order.
     pub target: Target,
     /// How states are removed.
@@ -68,7 +68,7 @@ pub struct Reduced {
 ///
 /// # Errors
 /// [`IdentifyError::NotReduced`] when fewer states are requested than are unstable, or poles lie on the unit circle.
-pub(crate) fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyError> {
+pub(in crate::identify) fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyError> {
     // A delay would use up states meant for the dynamics.
     let (prompt, beyond) = model.without_delay();
     let reduced = reduce_prompt(&prompt, how)?;
@@ -133,7 +133,10 @@ fn reduce_prompt(model: &Polynomials, how: Reduction) -> Result<Reduced, Identif
 ///
 /// # Errors
 /// As [`reduce`].
-pub(crate) fn reduce_in_band(model: &Polynomials, how: Reduction) -> Result<(Reduced, bool), IdentifyError> {
+pub(in crate::identify) fn reduce_in_band(
+    model: &Polynomials,
+    how: Reduction,
+) -> Result<(Reduced, bool), IdentifyError> {
     let reduced = reduce(model, how)?;
     let outside = reduced.model.poles().iter().filter(|p| p.norm() >= 1.0 || p.re.is_nan()).count();
     if how.band.is_none() || outside <= reduced.unstable {

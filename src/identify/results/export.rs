@@ -278,7 +278,7 @@ fn estimated(model: &Polynomials, covariance: Option<&Covariance>, more: Value) 
 }
 
 /// Numerator and denominator in z, highest power first and of the same length.
-pub(crate) fn in_z(model: &Polynomials) -> (Vec<f64>, Vec<f64>) {
+fn in_z(model: &Polynomials) -> (Vec<f64>, Vec<f64>) {
     let n = model.memory();
     let mut num = [vec![0.0; model.nk], model.b.clone()].concat();
     num.resize(n + 1, 0.0);

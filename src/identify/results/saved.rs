@@ -11,7 +11,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// The name of Eq. 7 in place of a file.
-pub(crate) const EQ_7: &str = "eq7";
+const EQ_7: &str = "eq7";
 /// Most coefficients of a polynomial, as for `--order`.
 const MAX_COEFFICIENTS: usize = 202;
 /// The same for H(s), which needs a matrix exponential.
@@ -137,7 +137,7 @@ impl Saved {
     }
 
     /// H(s) of the paper, from net torque to θ.
-    pub(crate) fn eq_7() -> Self {
+    pub(super) fn eq_7() -> Self {
         let (num, den) = (vec![1.761e4, 6344.0], vec![1.0, 4.59, 1.136]);
         let continuous = Continuous { num, den, delay_s: 0.0, conversion: Conversion::Hold };
         Self {
@@ -223,7 +223,7 @@ impl SavedModel {
     }
 
     /// As H(s), if that is exact for a held input.
-    pub(crate) fn continuous(&self) -> Option<&Continuous> {
+    pub(super) fn continuous(&self) -> Option<&Continuous> {
         self.continuous.as_ref()
     }
 

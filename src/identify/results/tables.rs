@@ -32,7 +32,7 @@ fn cell(value: Option<f64>) -> String {
     value.filter(|v| v.is_finite()).map_or_else(String::new, |v| v.to_string())
 }
 
-pub(in crate::identify) fn bode(models: &[Modelled]) -> io::Result<Vec<u8>> {
+pub(super) fn bode(models: &[Modelled]) -> io::Result<Vec<u8>> {
     let header =
         texts(&["model", "frequency_hz", "magnitude", "magnitude_db", "magnitude_db_sd", "phase_deg", "phase_deg_sd"]);
     let db_of_ln = 20.0 / 10_f64.ln();
@@ -53,7 +53,7 @@ pub(in crate::identify) fn bode(models: &[Modelled]) -> io::Result<Vec<u8>> {
     table(&header, rows)
 }
 
-pub(in crate::identify) fn frequency_response(spectrum: &Spectrum) -> io::Result<Vec<u8>> {
+pub(super) fn frequency_response(spectrum: &Spectrum) -> io::Result<Vec<u8>> {
     let header =
         texts(&["frequency_hz", "magnitude", "magnitude_db", "phase_deg", "coherence", "relative_sd", "input_power"]);
     let points = spectrum.points.iter();
@@ -68,7 +68,7 @@ pub(in crate::identify) fn frequency_response(spectrum: &Spectrum) -> io::Result
 }
 
 /// Every line of averaged periods, with the model's residual.
-pub(in crate::identify) fn lines(periodic: &Periodic) -> io::Result<Vec<u8>> {
+pub(super) fn lines(periodic: &Periodic) -> io::Result<Vec<u8>> {
     let header = texts(&[
         "frequency_hz",
         "magnitude",
@@ -107,7 +107,7 @@ pub(in crate::identify) fn lines(periodic: &Periodic) -> io::Result<Vec<u8>> {
     table(&header, rows)
 }
 
-pub(in crate::identify) fn hankel(done: &Identification) -> io::Result<Vec<u8>> {
+pub(super) fn hankel(done: &Identification) -> io::Result<Vec<u8>> {
     let header = texts(&["state", "hankel_singular_value", "in_band"]);
     let reduced = done.reduced.as_ref().ok();
     let in_band = |k: usize| reduced.and_then(|r| r.hankel_in_band.as_ref()).and_then(|all| all.get(k).copied());
@@ -115,7 +115,7 @@ pub(in crate::identify) fn hankel(done: &Identification) -> io::Result<Vec<u8>> 
     table(&header, values.map(|(k, v)| vec![(k + 1).to_string(), cell(Some(*v)), cell(in_band(k))]))
 }
 
-pub(in crate::identify) fn orders(done: &Identification) -> io::Result<Vec<u8>> {
+pub(super) fn orders(done: &Identification) -> io::Result<Vec<u8>> {
     let header = texts(&[
         "na",
         "nb",
@@ -137,7 +137,7 @@ pub(in crate::identify) fn orders(done: &Identification) -> io::Result<Vec<u8>> 
     table(&header, rows)
 }
 
-pub(in crate::identify) fn correlations(residuals: &Residuals) -> io::Result<Vec<u8>> {
+pub(super) fn correlations(residuals: &Residuals) -> io::Result<Vec<u8>> {
     let header =
         texts(&["lag", "autocorrelation", "autocorrelation_bound", "input_correlation", "input_correlation_bound"]);
     let rows = residuals.cross.iter().enumerate().map(|(k, cross)| {
@@ -150,7 +150,7 @@ pub(in crate::identify) fn correlations(residuals: &Residuals) -> io::Result<Vec
 }
 
 /// Observed and simulated, every sample of every record.
-pub(in crate::identify) fn signals<'a>(
+pub(super) fn signals<'a>(
     records: impl Iterator<Item = &'a Record>,
     period_s: f64,
     models: &[Modelled],

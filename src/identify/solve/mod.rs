@@ -1,6 +1,6 @@
 //! Linear algebra of the estimators: least squares on lagged signals by QR, descent to a minimum, and decompositions
 //! that terminate.
 
-pub(crate) mod decompositions;
-pub(crate) mod descent;
-pub(crate) mod regression;
+pub(super) mod decompositions;
+pub(super) mod descent;
+pub(super) mod regression;

@@ -14,7 +14,7 @@ const BLOCK: usize = 512;
 
 /// The upper triangle of the rows so far.
 #[derive(Debug, Clone)]
-pub(crate) struct Triangle {
+pub(in crate::identify) struct Triangle {
     /// Square, as many rows as columns.
     r: DMatrix<f64>,
     block: DMatrix<f64>,
@@ -24,13 +24,13 @@ pub(crate) struct Triangle {
 
 impl Triangle {
     /// For rows with this many columns.
-    pub(crate) fn new(columns: usize) -> Self {
+    pub(in crate::identify) fn new(columns: usize) -> Self {
         let block = DMatrix::zeros(columns + BLOCK, columns);
         Self { r: DMatrix::zeros(columns, columns), block, filled: 0, rows: 0 }
     }
 
     /// Adds a row, with one value per column. A row with NaN, an unobserved output, is left out.
-    pub(crate) fn push(&mut self, row: impl IntoIterator<Item = f64>) {
+    pub(in crate::identify) fn push(&mut self, row: impl IntoIterator<Item = f64>) {
         let at = self.r.nrows() + self.filled;
         for (place, value) in self.block.row_mut(at).iter_mut().zip(row) {
             *place = value;
@@ -54,12 +54,12 @@ impl Triangle {
     }
 
     /// Rows pushed.
-    pub(crate) fn rows(&self) -> usize {
+    pub(in crate::identify) fn rows(&self) -> usize {
         self.rows
     }
 
     /// The triangle of all rows pushed.
-    pub(crate) fn finish(mut self) -> DMatrix<f64> {
+    pub(in crate::identify) fn finish(mut self) -> DMatrix<f64> {
         if self.filled > 0 {
             self.absorb();
         }
@@ -69,7 +69,7 @@ impl Triangle {
 
 /// The least-squares solution, and how well it is determined.
 #[derive(Debug, Clone)]
-pub(crate) struct Solution {
+pub(in crate::identify) struct Solution {
     /// Parameters.
     pub parameters: DVector<f64>,
     /// Sum of squared residuals.
@@ -82,7 +82,7 @@ pub(crate) struct Solution {
 
 /// Solves for the last column of `columns` with the others as regressors. `None` when there are none, or they are
 /// dependent to machine precision.
-pub(crate) fn solve(columns: DMatrix<f64>) -> Option<Solution> {
+pub(in crate::identify) fn solve(columns: DMatrix<f64>) -> Option<Solution> {
     let p = columns.ncols().checked_sub(1)?;
     let rows = columns.nrows();
     let columns = columns.resize_vertically(rows.max(p + 1), 0.0);
@@ -116,7 +116,7 @@ pub(crate) fn solve(columns: DMatrix<f64>) -> Option<Solution> {
 }
 
 /// Row `t` of the regression on `na` outputs and `nb` inputs from lag `nk`: −y(t−1) …, u(t−nk) …, y(t).
-pub(crate) fn row(
+pub(in crate::identify) fn row(
     segment: &Segment,
     t: usize,
     (na, nb, nk): (usize, usize, usize),
