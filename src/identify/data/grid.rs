@@ -27,6 +27,8 @@ const LONGEST_BRIDGED: f64 = 2.5;
 /// is no multiple of that.
 const ROUGH: f64 = 0.2;
 const MANY_UNEVEN: f64 = 0.1;
+/// Part of the times that are multiples of such a step, at least.
+const NEARLY_ALL: f64 = 0.95;
 
 /// A raw record, with one entry per sample.
 #[derive(Debug, Clone, Default)]
@@ -396,7 +398,9 @@ pub(crate) fn rounded_to(series: &Series) -> Option<f64> {
     let first = *time_s.first()?;
     let steps = [1.0, 0.1, 0.01, 0.001, 1e-4];
     let is_whole = |value: f64| (value - value.round()).abs() < 1e-4;
-    let step_s = steps.into_iter().find(|step| time_s.iter().all(|t| is_whole((t - first) / step)))?;
+    // Rows that were put where frames were lost lie between.
+    let whole = |step: f64| time_s.iter().filter(|t| is_whole((*t - first) / step)).count();
+    let step_s = steps.into_iter().find(|step| whole(*step) as f64 > NEARLY_ALL * time_s.len() as f64)?;
     let pairs = time_s.iter().zip(time_s.iter().skip(1));
     let uneven = pairs.filter(|(a, b)| !is_whole((*b - *a) / usual_s)).count();
     let told = step_s > ROUGH * usual_s && uneven as f64 > MANY_UNEVEN * time_s.len() as f64;
@@ -548,6 +552,8 @@ mod tests {
         let to = |step: f64, t: f64| (t / step).round() * step;
         assert_eq!(of(&times(&|k| to(0.01, k / 60.0))), Some(0.01));
         assert_eq!(of(&times(&|k| to(0.01, k / 30.0))), Some(0.01));
+        let between = [times(&|k| to(0.01, k / 60.0)), vec![6.0 + 1.0 / 3.0]].concat();
+        assert_eq!(of(&between), Some(0.01));
         assert_eq!(of(&times(&|k| to(0.001, k / 60.0))), None);
         assert_eq!(of(&times(&|k| k / 60.0)), None);
         let with_holes: Vec<f64> = times(&|k| k / 100.0).into_iter().filter(|t| (t * 7919.0) % 1.0 > 0.15).collect();
