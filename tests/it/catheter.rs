@@ -220,12 +220,14 @@ fn the_sample_run_tells_all_parameters() {
 fn what_cannot_be_is_refused_with_what_would_be_right() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("c.toml"), "[tube]\nouter_radius_mm = 1\n").unwrap();
+    fs::write(folder.path().join("unix.csv"), "t_s,x_a,y_a,z_a\n1700000000,0,0,0\n1700000001,0,0.05,0\n").unwrap();
     for (args, code, words) in [
         (&["shape", "--currents", "0mA"][..], 2, "expected three: X,Y,Z such as 0mA,0mA,100mA"),
         (&["shape", "--currents", "0mA,0mA,150mA"], 2, "coil z: 150 mA is beyond the limit of 100 mA"),
         (&["shape", "--currents=-100mA,0mA,0mA"], 3, "the shape becomes unstable"),
         (&["shape", "--currents", "0mA,0mA,1mA", "--catheter", "none.toml"], 2, "cannot read catheter file none.toml"),
         (&["shape", "--currents", "0mA,0mA,1mA", "--catheter", "c.toml"], 2, "missing field"),
+        (&["run", "unix.csv", "-o", "run.csv"], 2, "unix.csv: its last current is at 1700000001 s, which makes"),
         (&["follow", "none.csv", "-o", "out"], 2, "is neither circle nor lemniscate, and no such file"),
         (&["follow", "circle", "--radius", "0mm", "-o", "out"], 2, "is no length above 0"),
         (&["follow", "circle", "--pause", "0.5ms", "-o", "out"], 2, "--pause: at least 1ms"),

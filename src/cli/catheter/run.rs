@@ -159,7 +159,14 @@ impl RunArgs {
         let duration_s = self.duration.unwrap_or(end_s + 1.0);
         let frames = (duration_s * self.rate).floor() + 1.0;
         if frames > MAX_FRAMES {
-            return Err(Failure::usage(format!("{frames} frames are more than {MAX_FRAMES}; shorten --duration")));
+            let file = self.currents.display();
+            return Err(Failure::usage(match self.duration {
+                Some(_) => format!("{frames} frames are more than {MAX_FRAMES}; shorten --duration"),
+                None => format!(
+                    "{file}: its last current is at {end_s} s, which makes {frames} frames, more than {MAX_FRAMES}: t_s \
+                     is in seconds from a start; times since 1970 are named unix_s. Or give --duration"
+                ),
+            }));
         }
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
         let times_s = (0..frames as u64).map(|k| k as f64 / self.rate);
