@@ -93,11 +93,6 @@ impl DamageLog {
         self.awaited(number)
     }
 
-    /// A part of packet `number`, or what it is predicted from, may be missing.
-    pub(super) fn is_doubtful(&mut self, number: u64) {
-        self.mark(number, self.time_of(number));
-    }
-
     /// A packet is damaged, with what is shown at `pts` or later: the latest counts.
     fn mark(&mut self, number: u64, pts: Option<i64>) {
         let known = self.damaged.entry(number).or_insert(pts);

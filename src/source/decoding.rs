@@ -8,7 +8,7 @@ use super::container::{MAX_REORDERED, best_video, count_hint, open_decoder, open
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
 use super::headers::skips_numbers;
-use super::messages::{self, Messages, OfContainer};
+use super::messages::{self, Messages, OfContainer, Said};
 use super::quantisation::Stated;
 use super::times::seconds;
 use super::{Clock, SourceError, Span};
@@ -350,7 +350,7 @@ impl Decoding {
                     }
                     let number = self.damage.packet(pts, packet.is_key());
                     if before_damage || after_damage && !packet.is_key() {
-                        self.damage.is_doubtful(number);
+                        self.damage.heard(number, Said::Concealed);
                     }
                     if let (Some(before), Some(pts)) = (&mut self.before_first, packet.pts())
                         && !is_left_out(packet)
@@ -482,7 +482,7 @@ impl Decoding {
     fn reaches_declared_end(&self) -> bool {
         let length_s = self.input.duration() as f64 / f64::from(av::ffi::AV_TIME_BASE);
         let [_, average] = self.rates.map(f64::from);
-        let latest_s = |ticks: i64| (ticks - self.start_pts.max(0)) as f64 * f64::from(self.time_base);
+        let latest_s = |ticks: i64| (ticks as f64 - self.start_pts.max(0) as f64) * f64::from(self.time_base);
         length_s > 0.0 && self.latest_dts.is_some_and(|ticks| latest_s(ticks) + LAST_FRAMES / average >= length_s)
     }
 

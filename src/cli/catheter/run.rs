@@ -163,8 +163,8 @@ impl RunArgs {
             return Err(Failure::usage(match self.duration {
                 Some(_) => format!("{frames} frames are more than {MAX_FRAMES}; shorten --duration"),
                 None => format!(
-                    "{file}: its last current is at {end_s} s, which makes {frames} frames, more than {MAX_FRAMES}: t_s \
-                     is in seconds from a start; times since 1970 are named unix_s. Or give --duration"
+                    "{file}: its last current is at {end_s} s, which makes {frames} frames, more than {MAX_FRAMES}: \
+                     t_s is in seconds from a start; times since 1970 are named unix_s. Or give --duration"
                 ),
             }));
         }

@@ -17,6 +17,7 @@ use crate::cli::progress::Stages;
 use crate::identify::IdentifyError;
 use crate::identify::chain::steps::identify_with_progress;
 use crate::identify::data::segments::Data;
+use crate::identify::model::modelled::Role;
 use crate::identify::results::export;
 use crate::report::identification;
 use std::path::PathBuf;
@@ -63,7 +64,7 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
     // 4. text
     report_files(outcome, &written)?;
     outcome.print(&words::summary(&data, &done, &provenance, &written))?;
-    if done.models.iter().any(|m| m.role == crate::identify::model::modelled::Role::Full && !m.is_stable()) {
+    if done.models.iter().any(|m| m.role == Role::Full && !m.is_stable()) {
         let text = "the model of full order is unstable: what was written describes it and is not to be relied on";
         return Err(Failure::new(Exit::Unusable, text));
     }

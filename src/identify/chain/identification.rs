@@ -92,7 +92,7 @@ pub struct Identification {
 impl Identification {
     /// The model to use: that of the averaged periods if there is one, otherwise the refined one, or the next best.
     pub fn leading(&self) -> Option<&Modelled> {
-        Role::LEADING.into_iter().find_map(|role| self.model(role))
+        Role::leading(&self.models, |model| model.role)
     }
 
     /// Whether a diagnostic is worth interrupting for. That the full model's orders are the last of the search, or its

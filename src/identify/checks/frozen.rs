@@ -30,6 +30,15 @@ pub enum Signal {
     Output,
 }
 
+impl Signal {
+    fn in_segment(self, segment: &Segment) -> &[f64] {
+        match self {
+            Self::Input => &segment.input,
+            Self::Output => &segment.output,
+        }
+    }
+}
+
 /// A run of one value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frozen {
@@ -63,15 +72,11 @@ impl fmt::Display for Frozen {
 
 /// The longest run of a record, if it is no sound input's.
 pub(super) fn frozen(model: &Polynomials, record: &Record, period_s: f64, of: Signal) -> Option<Frozen> {
-    let signal = |segment: &Segment| match of {
-        Signal::Input => segment.input.clone(),
-        Signal::Output => segment.output.clone(),
-    };
     // Segment, first sample, samples.
     let mut runs: Vec<(usize, usize, usize)> = Vec::new();
     for (k, segment) in record.segments.iter().enumerate() {
         let mut first = 0;
-        for run in signal(segment).chunk_by(|a, b| a == b) {
+        for run in of.in_segment(segment).chunk_by(|a, b| a == b) {
             runs.push((k, first, run.len()));
             first += run.len();
         }
@@ -105,7 +110,7 @@ pub(super) fn frozen(model: &Polynomials, record: &Record, period_s: f64, of: Si
         of,
         from_s: segment.start_s + first as f64 * period_s,
         samples: length,
-        value: signal(segment).get(first).copied().unwrap_or(f64::NAN),
+        value: of.in_segment(segment).get(first).copied().unwrap_or(f64::NAN),
         ratio: ratio.sqrt(),
     })
 }

@@ -4,9 +4,9 @@
 //! The model takes the mean of both. Method: a factor of the simulated output is fitted to what comes before and after
 //! a moment, where the two explain most of the residual.
 
+use super::jump::{Sample, simulated};
 use crate::identify::data::segments::Record;
 use crate::identify::model::polynomials::Polynomials;
-use crate::identify::model::reproduction::{InitialState, Kind, output};
 use std::fmt;
 
 /// Part of the residual's energy that the two factors must explain. What the model lacks is out of phase with it, or
@@ -16,8 +16,6 @@ const MIN_EXPLAINED: f64 = 0.5;
 const MIN_CHANGE: f64 = 0.02;
 /// Energy of the simulated output, as a part of all, that either side must have.
 const MIN_SIDE: f64 = 0.05;
-/// Fewest samples.
-const MIN_SAMPLES: usize = 50;
 
 /// Where a record's output begins to be larger or smaller.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,21 +39,14 @@ impl fmt::Display for GainChange {
 
 /// Where the gain of a record changes, as `model` tells; `None` where it does not.
 pub(super) fn gain_change(model: &Polynomials, record: &Record, period_s: f64) -> Option<GainChange> {
-    let mut samples = Vec::new();
-    for segment in &record.segments {
-        let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
-        let known = segment.output.iter().zip(modelled).enumerate().filter(|(_, (y, m))| (*y - m).is_finite());
-        samples.extend(known.map(|(t, (y, m))| (segment.start_s + t as f64 * period_s, *y, m)));
-    }
-    if samples.len() < MIN_SAMPLES {
-        return None;
-    }
-    let left: f64 = samples.iter().map(|(_, y, m)| (y - m).powi(2)).sum();
-    // Of y on m: sums of m m and y m.
-    let (all, both) = samples.iter().fold((0.0, 0.0), |(mm, ym), (_, y, m)| (mm + m * m, ym + y * m));
+    let samples = simulated(model, record, period_s)?;
+    let left: f64 = samples.iter().map(|s| (s.observed - s.modelled).powi(2)).sum();
+    // Of the observed on the modelled: sums of m m and y m.
+    let sums = |(mm, ym): (f64, f64), s: &Sample| (mm + s.modelled * s.modelled, ym + s.observed * s.modelled);
+    let (all, both) = samples.iter().fold((0.0, 0.0), sums);
     let (mut before, mut with) = (0.0, 0.0);
     let mut best: Option<(f64, GainChange)> = None;
-    for (time_s, y, m) in &samples {
+    for sample in &samples {
         let after = all - before;
         if before.min(after) > MIN_SIDE * all {
             let (first, second) = (with / before, (both - with) / after);
@@ -63,11 +54,10 @@ pub(super) fn gain_change(model: &Polynomials, record: &Record, period_s: f64) -
             let explained = (first - 1.0).powi(2) * before + (second - 1.0).powi(2) * after;
             let change = (second - first).abs() / first.abs().max(second.abs());
             if change > MIN_CHANGE && best.as_ref().is_none_or(|(most, _)| explained > *most) {
-                best = Some((explained, GainChange { time_s: *time_s, factor: second / first }));
+                best = Some((explained, GainChange { time_s: sample.time_s, factor: second / first }));
             }
         }
-        before += m * m;
-        with += y * m;
+        (before, with) = sums((before, with), sample);
     }
     best.filter(|(explained, _)| *explained > MIN_EXPLAINED * left).map(|(_, change)| change)
 }

@@ -3,7 +3,7 @@
 //! The model takes the difference for its own slow response, and its constant term is the mean of both. Method: the
 //! residual of the simulation is divided in two where the means of the parts differ most.
 
-use crate::identify::data::segments::Record;
+use crate::identify::data::segments::{Record, Segment};
 use crate::identify::model::polynomials::Polynomials;
 use crate::identify::model::reproduction::{InitialState, Kind, output};
 use std::fmt;
@@ -38,23 +38,38 @@ impl fmt::Display for Jump {
     }
 }
 
+/// An observed output.
+pub(super) struct Sample {
+    /// Its time, seconds.
+    pub(super) time_s: f64,
+    /// Its value.
+    pub(super) observed: f64,
+    /// What the model says.
+    pub(super) modelled: f64,
+}
+
+/// The observed outputs of a record beside those that `model` simulates; `None` if they are too few to be divided.
+pub(super) fn simulated(model: &Polynomials, record: &Record, period_s: f64) -> Option<Vec<Sample>> {
+    let of_segment = |segment: &Segment| {
+        let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
+        let pairs = segment.output.iter().zip(modelled).enumerate();
+        let samples = pairs.map(|(t, (observed, modelled))| Sample {
+            time_s: segment.start_s + t as f64 * period_s,
+            observed: *observed,
+            modelled,
+        });
+        samples.filter(|s| (s.observed - s.modelled).is_finite()).collect::<Vec<_>>()
+    };
+    let samples: Vec<Sample> = record.segments.iter().flat_map(of_segment).collect();
+    (samples.len() >= MIN_SAMPLES).then_some(samples)
+}
+
 /// Where the output of a record jumps, as `model` tells; `None` where it does not.
 pub(super) fn jump(model: &Polynomials, record: &Record, period_s: f64) -> Option<Jump> {
-    let (mut times_s, mut left, mut outputs) = (Vec::new(), Vec::new(), Vec::new());
-    for segment in &record.segments {
-        let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
-        for (t, (y, modelled)) in segment.output.iter().zip(&modelled).enumerate() {
-            if (y - modelled).is_finite() {
-                times_s.push(segment.start_s + t as f64 * period_s);
-                left.push(y - modelled);
-                outputs.push(*y);
-            }
-        }
-    }
+    let samples = simulated(model, record, period_s)?;
+    let left: Vec<f64> = samples.iter().map(|s| s.observed - s.modelled).collect();
+    let outputs: Vec<f64> = samples.iter().map(|s| s.observed).collect();
     let count = left.len();
-    if count < MIN_SAMPLES {
-        return None;
-    }
     let (mean, squares) = moments(&left);
     let side = (MIN_SIDE * count as f64) as usize;
     let mut before = 0.0;
@@ -74,7 +89,7 @@ pub(super) fn jump(model: &Polynomials, record: &Record, period_s: f64) -> Optio
     let (explained, k, by) = best?;
     let output_sd = (moments(&outputs).1 / count as f64).sqrt();
     let jumps = explained > MIN_EXPLAINED * squares && by.abs() > MIN_PART * output_sd;
-    jumps.then(|| Jump { time_s: times_s[k], by })
+    jumps.then(|| Jump { time_s: samples[k].time_s, by })
 }
 
 /// Mean, and sum of squares about it.
@@ -86,7 +101,6 @@ fn moments(values: &[f64]) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::identify::data::segments::Segment;
     use crate::identify::tests::noise;
 
     fn found(spoil: impl Fn(usize, f64) -> f64) -> Option<Jump> {

@@ -11,8 +11,7 @@ use crate::identify::model::modelled::{Modelled, Role};
 
 /// What the records show, as the models tell: record by record.
 pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled], period_s: f64) -> Vec<Diagnostic> {
-    let leading = Role::LEADING.into_iter().find_map(|role| models.iter().find(|m| m.role == role));
-    let model = leading.filter(|model| model.is_stable());
+    let model = Role::leading(models, |model| model.role).filter(|model| model.is_stable());
     // Where the input depends on the output, a refined model may follow a jump.
     let stable = || models.iter().filter(|model| model.is_stable());
     let of_record = |record: &Record| {

@@ -23,8 +23,8 @@ const MAX_PLACES: usize = 2_000_000;
 const HARDLY_LONGER: f64 = 0.1;
 /// Longest interval that resampling bridges, in periods.
 const LONGEST_BRIDGED: f64 = 2.5;
-/// A step of times that is larger than this part of the usual interval is rough, if more than this part of the intervals
-/// is no multiple of that.
+/// A step of times that is larger than this part of the usual interval is rough, if more than this part of the
+/// intervals is no multiple of that.
 const ROUGH: f64 = 0.2;
 const MANY_UNEVEN: f64 = 0.1;
 /// Part of the times that are multiples of such a step, at least.

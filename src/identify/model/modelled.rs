@@ -28,8 +28,12 @@ pub enum Role {
 
 impl Role {
     /// The model to use is the first of these that exists.
-    pub(in crate::identify) const LEADING: [Self; 5] =
-        [Self::Periodic, Self::Given, Self::Refined, Self::Reduced, Self::Full];
+    const LEADING: [Self; 5] = [Self::Periodic, Self::Given, Self::Refined, Self::Reduced, Self::Full];
+
+    /// The model to use, of these with their roles.
+    pub(in crate::identify) fn leading<M>(models: &[M], role_of: impl Fn(&M) -> Self) -> Option<&M> {
+        Self::LEADING.into_iter().find_map(|role| models.iter().find(|model| role_of(model) == role))
+    }
 
     /// The name in files.
     pub fn word(self) -> &'static str {

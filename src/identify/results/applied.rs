@@ -33,7 +33,7 @@ pub(crate) struct Applied {
 impl Applied {
     /// The model to use.
     pub(crate) fn leading(&self) -> Option<&Modelled> {
-        Role::LEADING.into_iter().find_map(|role| self.models.iter().find(|m| m.role == role))
+        Role::leading(&self.models, |model| model.role)
     }
 }
 

@@ -194,7 +194,7 @@ impl Saved {
 
     /// The model to use.
     pub(crate) fn leading(&self) -> Option<&SavedModel> {
-        Role::LEADING.into_iter().find_map(|role| self.models.iter().find(|m| m.role == role))
+        Role::leading(&self.models, |model| model.role)
     }
 }
 
