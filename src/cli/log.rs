@@ -125,7 +125,11 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
     if info.being_written {
         writeln!(out, "  is still being written")?;
     } else if info.condition.is_whole() {
-        writeln!(out, "  complete, with index")?;
+        let lost = info.condition.summary();
+        writeln!(out, "  {}with index", if lost.is_none() { "complete, " } else { "" })?;
+        if let Some(lost) = lost {
+            writeln!(out, "  {}", without_control_characters(&lost))?;
+        }
     } else {
         damage(out, &info.condition)?;
         writeln!(out, "  `catoptra log repair` restores it")?;

@@ -23,6 +23,9 @@ const LARGEST_CHUNK: u64 = 1 << 28;
 const HEAD: u64 = 9;
 /// Most damaged places listed; further ones are counted.
 const MAX_LISTED: usize = 100;
+/// Metadata record that a repair adds, and its key for what was lost.
+pub(super) const REPAIR: &str = "catoptra.repair";
+pub(super) const LOST: &str = "lost";
 /// Reason given for a log without an index.
 const NO_INDEX: &str = "it ends without an index";
 
@@ -35,6 +38,8 @@ pub struct Condition {
     pub damage: Vec<Damage>,
     /// How many more there are.
     pub more_damage: u64,
+    /// What was lost before it was repaired, if it was: once for each time.
+    pub repaired: Vec<String>,
 }
 
 /// A damaged place, which is left out.
@@ -46,22 +51,35 @@ pub struct Damage {
     pub what: String,
     /// Log times of the last message before it and of the first after it, nanoseconds.
     pub between_ns: (Option<u64>, Option<u64>),
+    /// Whether messages may be lost: an index, for example, has none.
+    pub loses_messages: bool,
 }
 
 impl Condition {
-    /// Whether nothing is wrong.
+    /// Whether nothing is wrong with the file. A repaired one may lack messages all the same.
     pub fn is_whole(&self) -> bool {
         self.cut.is_none() && self.damage.is_empty()
     }
 
-    /// What is wrong, in one sentence.
+    /// What is wrong, and what it lacks since a repair, in one sentence.
     pub fn summary(&self) -> Option<String> {
-        let damage = self.damage.first().map(|first| {
-            let more = match self.damage.len() as u64 - 1 + self.more_damage {
-                0 => String::new(),
-                more => format!(", and {more} more damaged places"),
-            };
-            format!("at byte {} {}{more}", first.at, first.what)
+        let lost = self.repaired.iter().map(|lost| format!("it lacks what was lost before it was repaired ({lost})"));
+        let words: Vec<String> = self.words(|_| true).into_iter().chain(lost).collect();
+        (!words.is_empty()).then(|| words.join("; "))
+    }
+
+    /// Why messages may be lost.
+    pub(super) fn lost(&self) -> Option<String> {
+        self.words(|damage| damage.loses_messages)
+    }
+
+    /// Why it ends early, and the damaged places that `count`.
+    fn words(&self, count: impl Fn(&Damage) -> bool) -> Option<String> {
+        let mut damage = self.damage.iter().filter(|damage| count(damage));
+        let first = damage.next().map(|first| (first, damage.count() as u64 + self.more_damage));
+        let damage = first.map(|(first, more)| match more {
+            0 => format!("at byte {} {}", first.at, first.what),
+            more => format!("at byte {} {}, and {more} more damaged places", first.at, first.what),
         });
         let words: Vec<String> = damage.into_iter().chain(self.cut.clone()).collect();
         (!words.is_empty()).then(|| words.join("; "))
@@ -162,11 +180,18 @@ impl Records {
             self.advance().map_err(|source| LogError::Io { path: self.path.clone(), source })?;
         }
         let record = parsed(self.current.0, &self.current.1);
-        if let Some(Record::Message { header, .. }) = &record {
-            self.last_ns = Some(header.log_time);
-            for damage in self.condition.damage.iter_mut().rev().take_while(|damage| damage.between_ns.1.is_none()) {
-                damage.between_ns.1 = self.last_ns;
+        match &record {
+            Some(Record::Message { header, .. }) => {
+                self.last_ns = Some(header.log_time);
+                for damage in self.condition.damage.iter_mut().rev().take_while(|damage| damage.between_ns.1.is_none())
+                {
+                    damage.between_ns.1 = self.last_ns;
+                }
             }
+            Some(Record::Metadata(metadata)) if metadata.name == REPAIR => {
+                self.condition.repaired.extend(metadata.metadata.get(LOST).cloned());
+            }
+            _ => {}
         }
         Ok(record)
     }
@@ -297,11 +322,21 @@ impl Records {
         self.file.seek_relative(i64::try_from(by).map_err(io::Error::other)?)
     }
 
+    /// Notes a damaged place whose messages are left out.
     fn damaged(&mut self, at: u64, what: String) {
+        self.note(at, what, true);
+    }
+
+    /// Notes a damaged place without messages.
+    fn damaged_without_loss(&mut self, at: u64, what: &str) {
+        self.note(at, what.to_owned(), false);
+    }
+
+    fn note(&mut self, at: u64, what: String, loses_messages: bool) {
         if self.condition.damage.len() == MAX_LISTED {
             self.condition.more_damage += 1;
         } else {
-            self.condition.damage.push(Damage { at, what, between_ns: (self.last_ns, None) });
+            self.condition.damage.push(Damage { at, what, between_ns: (self.last_ns, None), loses_messages });
         }
     }
 
@@ -312,14 +347,14 @@ impl Records {
         if saved != 0 && computed.is_some_and(|computed| computed != saved) && self.condition.damage.is_empty() {
             let what =
                 "the checksum of the data differs: no message is damaged (an index, metadata or unused bits are)";
-            self.damaged(at, what.to_owned());
+            self.damaged_without_loss(at, what);
         }
     }
 
     /// Checks the checksum of index and statistics, which no reader here uses.
     fn check_summary(&mut self, at: u64, body: &[u8]) -> io::Result<()> {
         let Ok(Record::Footer(footer)) = mcap::parse_record(op::FOOTER, body) else {
-            self.damaged(at, "the footer cannot be understood".to_owned());
+            self.damaged_without_loss(at, "the footer cannot be understood");
             return Ok(());
         };
         if footer.summary_crc == 0 {
@@ -341,7 +376,7 @@ impl Records {
             }
         }
         if start > at || checksum.finalize() != footer.summary_crc {
-            self.damaged(at, "the index is damaged; all messages are there".to_owned());
+            self.damaged_without_loss(at, "the index is damaged; all messages are there");
         }
         Ok(())
     }
@@ -351,7 +386,7 @@ impl Records {
         self.seek_to(self.at)?;
         (&mut self.file).take(mcap::MAGIC.len() as u64 + 1).read_to_end(&mut magic)?;
         if magic != mcap::MAGIC {
-            self.damaged(self.at, "the file does not end as logs do; all messages are there".to_owned());
+            self.damaged_without_loss(self.at, "the file does not end as logs do; all messages are there");
         }
         Ok(())
     }

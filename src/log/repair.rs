@@ -1,11 +1,12 @@
 //! Repairs a damaged or unfinished log: writes all intact records into a new log with an index.
 //!
-//! Topics of other programs are kept. Damaged parts are left out and listed; chunks are written without compression.
+//! Topics of other programs are kept. Damaged parts are left out and listed, also in the new log, which would seem
+//! whole otherwise; chunks are written without compression.
 
-use super::records::{self, Condition};
+use super::records::{self, Condition, LOST, REPAIR};
 use super::{LogError, is_being_written};
 use crate::atomic_file::{NewFile, backup_names};
-use mcap::records::{Channel, Record};
+use mcap::records::{Channel, Metadata, Record};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -56,7 +57,7 @@ pub fn repair(path: &Path) -> Result<Repaired, LogError> {
     }
     let io = |source| LogError::Io { path: path.to_owned(), source };
     let (new, file) = NewFile::begin(path).map_err(io)?;
-    let (messages, unknown) = copy(path, file, &topics)?;
+    let (messages, unknown) = copy(path, file, &topics, condition.lost())?;
     // Of a link, the log that it leads to is kept and replaced.
     let target = std::fs::canonicalize(path).map_err(io)?;
     let path = if path.is_symlink() { &target } else { path };
@@ -97,8 +98,8 @@ impl Topics {
     }
 }
 
-/// Copies the messages; returns the numbers written and of unknown topics.
-fn copy(from: &Path, to: File, topics: &Topics) -> Result<(u64, u64), LogError> {
+/// Copies the messages, and notes why some may be `lost`; returns the numbers written and of unknown topics.
+fn copy(from: &Path, to: File, topics: &Topics, lost: Option<String>) -> Result<(u64, u64), LogError> {
     let io = |source| LogError::Io { path: from.to_owned(), source };
     let failed = |error: McapError| match error {
         McapError::Io(source) => io(source),
@@ -142,6 +143,10 @@ fn copy(from: &Path, to: File, topics: &Topics) -> Result<(u64, u64), LogError> 
         }
         .map_err(failed)
     })?;
+    if let Some(lost) = lost {
+        let metadata = BTreeMap::from([(LOST.to_owned(), lost)]);
+        writer.write_metadata(&Metadata { name: REPAIR.to_owned(), metadata }).map_err(failed)?;
+    }
     writer.finish().map_err(failed)?;
     let file = writer.into_inner().into_inner().map_err(|e| io(e.into_error()))?;
     file.sync_all().map_err(io)?;

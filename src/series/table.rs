@@ -16,6 +16,8 @@ const UNNAMED: &str = "tip";
 const M_PER_MM: f64 = 1e-3;
 /// Times that are written twice span the same, but for this fraction.
 const SAME_SPAN: f64 = 0.01;
+/// The status of a place that was measured.
+const OK: &str = "ok";
 
 /// Columns of a marker.
 struct Marker {
@@ -36,6 +38,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         return Err(sheet.wrong(format!("has no times of frames: expected a column stamp_ns or t_s{}", there(&sheet))));
     }
     let markers = markers(&sheet)?;
+    markers.iter().try_for_each(|marker| marker.check_status(&sheet))?;
     let theta = sheet.find(columns::THETA_DEG);
     if markers.is_empty() && theta.is_none() {
         let expected =
@@ -157,9 +160,32 @@ impl Marker {
             let problem = format!("σ of the marker's position is {sd_mm} mm: a standard deviation is not negative");
             return Err(sheet.wrong_at(row, problem));
         }
-        let word = self.status.and_then(|column| row.cells.get(column)).filter(|word| !word.is_empty());
-        let known = || if point.is_some() { "ok" } else { "missing" }.to_owned();
-        Ok(Place { point, sd_m: sd_mm.map(|mm| mm * M_PER_MM), status: word.map_or_else(known, String::to_owned) })
+        let known = || if point.is_some() { OK } else { "missing" }.to_owned();
+        let status = self.word(row).map_or_else(known, String::to_owned);
+        // Another program may leave there what was last measured, or a guess.
+        let point = point.filter(|_| status.eq_ignore_ascii_case(OK));
+        Ok(Place { point, sd_m: sd_mm.map(|mm| mm * M_PER_MM), status })
+    }
+
+    /// The row's status, if it has one.
+    fn word<'a>(&self, row: &'a Row) -> Option<&'a String> {
+        self.status.and_then(|column| row.cells.get(column)).filter(|word| !word.is_empty())
+    }
+
+    /// Refuses a column of statuses of which no row says that its place counts.
+    fn check_status(&self, sheet: &Sheet) -> Result<(), SeriesError> {
+        let mut words = sheet.rows.iter().filter_map(|row| self.word(row)).peekable();
+        let (Some(column), Some(first)) = (self.status, words.peek().copied()) else { return Ok(()) };
+        let has_places =
+            || sheet.rows.iter().any(|row| row.cells.get(self.xyz[0]).is_some_and(|cell| !is_missing(cell)));
+        if words.any(|word| word.eq_ignore_ascii_case(OK)) || !has_places() {
+            return Ok(());
+        }
+        let name = sheet.name_of(column);
+        Err(sheet.wrong(format!(
+            "no row has `{OK}` in column {name} (the first has `{first}`), so no place would count; name the column \
+             otherwise if it says something else"
+        )))
     }
 }
 

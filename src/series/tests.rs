@@ -237,6 +237,24 @@ fn tables_of_others_need_a_time_and_a_measurement() {
 }
 
 #[test]
+fn a_place_counts_only_where_its_status_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.csv");
+    fs::write(&path, "t_s,x_mm,y_mm,z_mm,status\n0,1,2,3,OK\n0.02,1,2,3,lost\n0.04,1,2,3,\n0.06,,,,lost\n").unwrap();
+    let recording = Recording::read(&path).unwrap();
+    let there: Vec<_> = recording.frames.iter().map(|frame| frame.places[0].point.is_some()).collect();
+    assert_eq!(there, [true, false, true, false]);
+    // Statuses of which none says so mean something else, unless nothing was measured.
+    assert_eq!(
+        message("t_s,tip_x_mm,tip_y_mm,tip_z_mm,tip_status\n0,1,2,3,tracked\n0.1,1,2,3,tracked\n"),
+        "a.csv: no row has `ok` in column `tip_status` (the first has `tracked`), so no place would count; name the \
+         column otherwise if it says something else"
+    );
+    fs::write(&path, "t_s,x_mm,y_mm,z_mm,status\n0,,,,lost\n").unwrap();
+    assert!(Recording::read(&path).is_ok());
+}
+
+#[test]
 fn what_is_no_run_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other.mcap");

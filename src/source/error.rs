@@ -163,12 +163,15 @@ pub enum SourceError {
     Log(#[from] LogError),
     /// A log without pictures.
     #[error(
-        "{}: this log holds no pictures, so it cannot be tracked again: record them with `catoptra live … --record \
-        windows`, or track the video beside it, if it was recorded with `--record ffv1` or `h264`", path.display()
+        "{}: {}this log holds no pictures, so it cannot be tracked again: record them with `catoptra live … --record \
+        windows`, or track the video beside it, if it was recorded with `--record ffv1` or `h264`", path.display(),
+        damage.as_ref().map(|damage| format!("{damage}; what is left of ")).unwrap_or_default()
     )]
     LogWithoutPictures {
         /// The log.
         path: PathBuf,
+        /// What is wrong with it: its pictures may have been there.
+        damage: Option<String>,
     },
     /// A picture in a log that cannot be understood.
     #[error("{}: the picture of frame {seq} cannot be read: {reason}", path.display())]

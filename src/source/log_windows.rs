@@ -107,7 +107,8 @@ impl LogWindows {
         // The first one that can be parsed sets the layout.
         while source.layout.size_px == [0; 2] {
             if !source.read()? {
-                return Err(SourceError::LogWithoutPictures { path: path.to_owned() });
+                let damage = source.records.condition().summary();
+                return Err(SourceError::LogWithoutPictures { path: path.to_owned(), damage });
             }
             let newest = source.rows.iter().rev().find_map(|row| row.windows.as_ref());
             if let Some(layout) = newest.and_then(|message| layout_of(message).ok()) {

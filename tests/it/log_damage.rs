@@ -100,10 +100,29 @@ fn what_lies_behind_a_hole_is_saved() {
         assert_eq!(kept_as, folder.path().join(name));
         assert_eq!(std::fs::read(&kept_as).unwrap(), damaged, "the damaged log is kept");
         let mended = Recording::read(&path).unwrap();
-        assert!(mended.cut.is_none() && is_part_of(&mended, &whole), "{part}");
+        assert!(is_part_of(&mended, &whole), "{part}");
+        // It does not seem whole, although it is in order.
+        let lost = format!("at byte {}", condition.damage[0].at);
+        assert!(mended.cut.as_ref().is_some_and(|cut| cut.contains("repaired") && cut.contains(&lost)), "{mended:?}");
+        let printed = stdout(&command("info", &path));
+        assert!(printed.contains(&lost) && !printed.contains("complete"), "{printed}");
         assert!(Info::read(&path).unwrap().condition.is_whole());
         assert_eq!(repair(&path).unwrap(), Repaired::WasWhole);
     }
+}
+
+#[test]
+fn a_log_whose_index_alone_was_damaged_lacks_nothing_once_repaired() {
+    let (_folder, path, bytes, whole) = written();
+    let mut damaged = bytes.clone();
+    let at = damaged.len() - 40;
+    damaged[at] ^= 1;
+    std::fs::write(&path, &damaged).unwrap();
+    assert!(Recording::read(&path).unwrap().cut.is_some());
+    assert!(matches!(repair(&path).unwrap(), Repaired::Mended { .. }));
+    let mended = Recording::read(&path).unwrap();
+    assert!(mended.cut.is_none() && mended.frames == whole.frames, "{:?}", mended.cut);
+    assert!(stdout(&command("info", &path)).contains("complete, with index"));
 }
 
 /// Names and schemas of all topics are in the first chunk, and once more at the end.

@@ -210,6 +210,12 @@ fn a_log_without_pictures_says_how_to_record_them() {
     let error = LogWindows::open(&log, Span::default()).err().unwrap();
     assert!(matches!(error, SourceError::LogWithoutPictures { .. }), "{error}");
     assert!(error.to_string().contains("--record windows"), "{error}");
+    // It may have had some where it is damaged.
+    let bytes = std::fs::read(&log).unwrap();
+    std::fs::write(&log, &bytes[..bytes.len() / 2]).unwrap();
+    let damaged = LogWindows::open(&log, Span::default()).err().unwrap().to_string();
+    assert!(damaged.contains("it ends without an index; what is left of this log"), "{damaged}");
+    std::fs::write(&log, bytes).unwrap();
     let error = catoptra::source::open(&log, Default::default()).err().unwrap();
     assert!(matches!(error, SourceError::IsLog { .. }), "{error}");
 }
