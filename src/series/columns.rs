@@ -41,6 +41,18 @@ pub(crate) fn columns_and(
     Ok((three([a?, b?, c?])?, sheet.all_of(more)?.map(three).transpose()?))
 }
 
+/// Seconds in the unit that the name of a column ends in, as `t_ms`, `time [us]` or `stamp_ns`; of others 1.
+pub(crate) fn unit_s(name: &str) -> f64 {
+    let name = name.trim_end_matches([']', ')', ' ']);
+    let last = name.rsplit(['_', ' ', '[', '(', '/']).next().filter(|word| word.len() < name.len());
+    match last {
+        Some("ms") => 1e-3,
+        Some("us" | "µs" | "μs") => 1e-6,
+        Some("ns") => 1e-9,
+        _ => 1.0,
+    }
+}
+
 fn values(sheet: &Sheet, column: usize) -> Result<Vec<Option<f64>>, SeriesError> {
     sheet.rows.iter().map(|row| sheet.number(row, column)).collect()
 }
@@ -55,6 +67,16 @@ mod tests {
         let path = folder.path().join("data.csv");
         fs::write(&path, text).unwrap();
         columns(&path, names).map_err(|error| error.to_string().replace(&path.display().to_string(), "data.csv"))
+    }
+
+    #[test]
+    fn the_unit_of_a_time_is_in_its_name() {
+        for (name, unit) in [("t_ms", 1e-3), ("time [us]", 1e-6), ("stamp_ns", 1e-9), ("Time (ms)", 1e-3)] {
+            assert_eq!(unit_s(name).to_bits(), f64::to_bits(unit), "{name}");
+        }
+        for name in ["t", "time", "t_s", "ms", "items", "columns", "2"] {
+            assert_eq!(unit_s(name).to_bits(), f64::to_bits(1.0), "{name}");
+        }
     }
 
     #[test]

@@ -25,7 +25,7 @@ mod ticks;
 pub use crate::vetoes::VetoError;
 pub use clocks::ClockMap;
 pub use columns::columns;
-pub(crate) use columns::{Three, columns_and};
+pub(crate) use columns::{Three, columns_and, unit_s};
 pub use currents::{CurrentClock, CurrentRow, CurrentTable};
 pub use error::SeriesError;
 pub use ticks::Ticks;

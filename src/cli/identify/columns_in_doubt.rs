@@ -1,5 +1,5 @@
 //! What is odd in the columns of a table: another time than was given, signals logged more slowly than the rows come,
-//! rows written twice. Each is a warning.
+//! rows written twice or lost. Each is a warning.
 
 use super::records;
 use crate::identify::data::hold::stairs;
@@ -17,6 +17,13 @@ const SLOW_OUTPUT: &str = "it seems to be measured more slowly than the table ha
                            measured";
 /// Fewest values that are the one before, and their part, that are told.
 const REPEATED: (usize, f64) = (5, 2e-3);
+
+/// Rows for which an input may keep each value, and the part of its steps that must come after so many, or twice, …; of
+/// the others the part that must come a row too soon, and their number.
+const HELD_ROWS: std::ops::RangeInclusive<usize> = 3..=100;
+const MOST_HOLDS: f64 = 0.6;
+const TOO_SOON: f64 = 0.7;
+const FEWEST_TOO_SOON: usize = 3;
 
 /// Warns if a table that is read with a given period has a column of times with another.
 pub(super) fn warn_of_another_time(file: &Path, period_s: f64) {
@@ -59,6 +66,30 @@ fn repeated_rows(values: &[Option<f64>]) -> Option<(usize, usize)> {
     (told && 4 * count < values.len()).then(|| same(1).next()).flatten().map(|first| (count, first))
 }
 
+/// Warns of rows that are missing in a table without times, as an input tells that changes every so many rows.
+pub(super) fn warn_of_lost_rows(name: &str, input: &[Option<f64>]) {
+    if let Some((rows, count, first)) = lost_rows(input) {
+        tracing::warn!(
+            "{name}: the input changes every {rows} rows, or every 2nd or 3rd time, but {count} times a row too soon, \
+             the first in row {}: were rows lost? Each shifts what comes after by a row; give --time COLUMN",
+            first + 1
+        );
+    }
+}
+
+/// For how many rows the input keeps its value, how often a row less, and the place of the first change after that.
+fn lost_rows(input: &[Option<f64>]) -> Option<(usize, usize, usize)> {
+    let pairs = input.iter().zip(input.iter().skip(1)).enumerate();
+    let changes: Vec<usize> = pairs.filter(|(_, (before, after))| before != after).map(|(k, _)| k + 1).collect();
+    let holds: Vec<(usize, usize)> = changes.iter().zip(changes.iter().skip(1)).map(|(a, b)| (b - a, *b)).collect();
+    let whole = |rows: &usize| holds.iter().filter(|(hold, _)| hold % rows == 0).count();
+    let rows = HELD_ROWS.rev().find(|rows| whole(rows) as f64 > MOST_HOLDS * holds.len() as f64)?;
+    let too_soon = || holds.iter().filter(|(hold, _)| hold % rows == rows - 1).map(|(_, end)| *end);
+    let (count, others) = (too_soon().count(), holds.len() - whole(&rows));
+    let told = count >= FEWEST_TOO_SOON && count as f64 > TOO_SOON * others as f64;
+    told.then(|| too_soon().next()).flatten().map(|first| (rows, count, first))
+}
+
 /// Warns if input or output look like a log that is slower than the table.
 pub(super) fn warn_of_stairs(name: &str, input: &[Option<f64>], output: &[Option<f64>]) {
     warn_if_stairs(name, "input", input, SLOW_INPUT);
@@ -81,6 +112,28 @@ fn warn_if_stairs(name: &str, what: &str, signal: &[Option<f64>], otherwise: &st
 mod tests {
     use super::*;
     use crate::testing::random::Random;
+
+    #[test]
+    fn rows_that_were_lost_are_told_by_an_input_that_keeps_its_values() {
+        let mut dice = Random::new(2);
+        let input: Vec<Option<f64>> = (0..600).flat_map(|_| [Some(dice.normal().signum()); 5]).collect();
+        let without = |lost: fn(usize) -> bool, of: &[Option<f64>]| -> Vec<Option<f64>> {
+            of.iter().enumerate().filter(|(k, _)| !lost(*k)).map(|(_, v)| *v).collect()
+        };
+        assert_eq!(lost_rows(&input), None);
+        let (rows, count, first) = lost_rows(&without(|k| k % 97 == 50, &input)).unwrap();
+        assert!(rows == 5 && (20..=31).contains(&count) && (45..=60).contains(&first), "{rows} {count} {first}");
+        // It changes when it likes, in every row, or never.
+        let mut level = 0.0;
+        let mut walk = |_| {
+            level = if dice.normal() > 0.8 { dice.normal() } else { level };
+            Some(level)
+        };
+        let free: Vec<Option<f64>> = (0..3000).map(&mut walk).collect();
+        assert_eq!(lost_rows(&free), None);
+        let noise: Vec<Option<f64>> = (0..300).map(|k| Some(f64::from(k).sin())).collect();
+        assert_eq!((lost_rows(&noise), lost_rows(&[Some(1.0); 50])), (None, None));
+    }
 
     #[test]
     fn rows_that_were_written_twice_are_told_and_rounded_ones_are_not() {

@@ -16,7 +16,7 @@ use crate::identify::estimate::clock_delay::{self, Delay, Drift, Timing};
 use crate::identify::estimate::unknown_zero::Zero;
 use crate::identify::model::reproduction::InitialState;
 use crate::identify::results::provenance::{Provenance, RecordSummary};
-use crate::series::columns;
+use crate::series::{columns, unit_s};
 use std::path::Path;
 
 /// Fewest samples after decimation.
@@ -156,13 +156,15 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
                  one",
             ));
         }
-        (Some(times), _) => times
-            .into_iter()
-            .enumerate()
-            .map(|(row, t)| t.ok_or_else(|| Failure::usage(format!("{name}: the time of row {} is missing", row + 1))))
-            .collect::<Result<Vec<_>, _>>()?,
+        (Some(times), _) => {
+            let unit_s = args.time.as_deref().map_or(1.0, unit_s);
+            let missing = |row: usize| Failure::usage(format!("{name}: the time of row {} is missing", row + 1));
+            let in_seconds = |(row, t): (usize, Option<f64>)| t.map(|t| t * unit_s).ok_or_else(|| missing(row));
+            times.into_iter().enumerate().map(in_seconds).collect::<Result<Vec<_>, _>>()?
+        }
         (None, Some(period)) => {
             columns_in_doubt::warn_of_another_time(file, period);
+            columns_in_doubt::warn_of_lost_rows(&name, &drive);
             (0..drive.len()).map(|k| k as f64 * period).collect()
         }
         (None, None) => {

@@ -46,12 +46,12 @@ pub(crate) fn identify_with_progress(
     settings: &Settings,
     progress: &dyn Fn(&str),
 ) -> Result<Identification, IdentifyError> {
-    let mut training = segments_of(&data.training);
-    let validation = segments_of(&data.validation);
+    let mut records = data.training.clone();
     if settings.initial_state == InitialState::Estimated {
         // Also for fitting, not only for comparing simulations, the initial state is unknown.
-        training.iter_mut().for_each(|segment| segment.from_rest = false);
+        records.iter_mut().flat_map(|record| &mut record.segments).for_each(|segment| segment.from_rest = false);
     }
+    let (training, validation) = (segments_of(&records), segments_of(&data.validation));
     moves(&data.training)?;
     can_judge(&validation, &settings.choice)?;
     repeats(data, settings)?;
@@ -123,8 +123,9 @@ pub(crate) fn identify_with_progress(
         let covariance = sound.then(|| covariance.clone());
         models.push(modelled(Role::Refined, title, model, covariance));
     }
-    let wrong_values = wrong_values(&data.training, &models, data.period_s);
-    if !wrong_values.iter().all(leaves_sigma) {
+    let wrong_values = wrong_values(&records, &models, data.period_s);
+    let right_values = wrong_values.iter().all(leaves_sigma);
+    if !right_values {
         models.iter_mut().filter(|m| m.role == Role::Refined).for_each(Modelled::forget_sigma);
     }
     let reduced_differs = reduced_differs(&mut models, excited_hz);
@@ -136,7 +137,8 @@ pub(crate) fn identify_with_progress(
     if let Some(found) = &periodic {
         let Estimated { model, covariance, .. } = found.estimated();
         let title = format!("periods, order {}", model.order());
-        models.push(modelled(Role::Periodic, title, model, Some(covariance.clone())));
+        let sound = right_values && found.explains_lines();
+        models.push(modelled(Role::Periodic, title, model, sound.then(|| covariance.clone())));
     }
     // 6. uncertainty
     let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());

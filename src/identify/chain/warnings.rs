@@ -93,10 +93,9 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
     }
     diagnostics.extend(off_centre(data));
     diagnostics.extend(done.wrong_values.iter().cloned());
-    if done.wrong_values.iter().any(|told| !leaves_sigma(told))
-        && let Some(model) = done.model(Role::Refined)
-    {
-        diagnostics.push(Diagnostic::OfWrongValues { title: model.title.clone() });
+    if done.wrong_values.iter().any(|told| !leaves_sigma(told)) {
+        let fitted = done.models.iter().filter(|model| matches!(model.role, Role::Refined | Role::Periodic));
+        diagnostics.extend(fitted.map(|model| Diagnostic::OfWrongValues { title: model.title.clone() }));
     }
     // A model that was fitted from the wrong state is bent, and fits each record by another gain.
     diagnostics.extend(not_at_rest(data, done).or_else(|| other_gains(data, done)));
@@ -190,7 +189,7 @@ fn of_periods(data: &Data, done: &Identification) -> Vec<Diagnostic> {
         }
     }
     if found.left > 1.0 + SIGNIFICANT_SD * found.left_sd {
-        diagnostics.push(Diagnostic::BeyondNoise { left: found.left });
+        diagnostics.push(Diagnostic::BeyondNoise { left: found.left, has_sigma: found.explains_lines() });
     }
     let fewest = found.records.iter().map(|r| r.periods).min().unwrap_or(0);
     if fewest < ENOUGH_PERIODS {

@@ -2,6 +2,7 @@
 
 use crate::identify::checks::frozen::Frozen;
 use crate::identify::checks::gain_change::GainChange;
+use crate::identify::checks::gain_drift::GainDrift;
 use crate::identify::checks::jump::Jump;
 use crate::identify::checks::model_error::ModelError;
 use crate::identify::checks::nonlinear::Nonlinear;
@@ -13,6 +14,8 @@ use std::fmt;
 const MIN_EXPLAINED: f64 = 0.5;
 /// Largest error that is told as a number, percent.
 const MOST_PERCENT: f64 = 1000.0;
+/// The same in σ.
+const MOST_SIGMAS: f64 = 1000.0;
 
 /// A reason why the result is less reliable than it looks.
 #[derive(Debug, Clone, PartialEq)]
@@ -109,6 +112,13 @@ pub enum Diagnostic {
         record: String,
         /// Where, and by which factor.
         change: GainChange,
+    },
+    /// The gain of a record drifts.
+    GainDrift {
+        /// The record.
+        record: String,
+        /// How it does.
+        drift: GainDrift,
     },
     /// What is told of the records leaves the refined model no σ.
     OfWrongValues {
@@ -294,6 +304,8 @@ pub enum Diagnostic {
     BeyondNoise {
         /// Residual relative to noise.
         left: f64,
+        /// Whether there is a σ all the same.
+        has_sigma: bool,
     },
     /// Many lines of a repeating input do not stand out of its noise.
     NoisyLines {
@@ -433,6 +445,7 @@ impl fmt::Display for Diagnostic {
             Self::Jumps { record, jump } => write!(f, "{record}: {jump}"),
             Self::Frozen { record, frozen } => write!(f, "{record}: {frozen}"),
             Self::GainChange { record, change } => write!(f, "{record}: {change}"),
+            Self::GainDrift { record, drift } => write!(f, "{record}: {drift}"),
             Self::Nonlinear { record, found } => write!(f, "{record}: {found}"),
             Self::OfWrongValues { title } => {
                 write!(f, "{title}: it has no σ, since what is told of the records bends its coefficients")
@@ -496,11 +509,14 @@ impl fmt::Display for Diagnostic {
                 "{title}: a model of order {order} explains the data better by more than noise does: this one lacks a \
                  mode. It has no σ, since its coefficients are off by that; raise --reduce"
             ),
-            Self::ReducedDiffers { title, sigmas: Some(sigmas) } => write!(
-                f,
-                "{title}: its response differs from that of the refined model by up to {sigmas:.1} σ: it has no σ, \
-                 which would not contain what noise of the output biases ARX by. Use the refined model"
-            ),
+            Self::ReducedDiffers { title, sigmas: Some(sigmas) } => {
+                let up_to = if *sigmas < MOST_SIGMAS { format!("up to {sigmas:.1}") } else { "many".to_owned() };
+                write!(
+                    f,
+                    "{title}: its response differs from that of the refined model by {up_to} σ: it has no σ, which \
+                     would not contain what noise of the output biases ARX by. Use the refined model"
+                )
+            }
             Self::ReducedDiffers { title, sigmas: None } => {
                 write!(f, "{title}: it has no σ, since the refined model has none")
             }
@@ -557,10 +573,15 @@ impl fmt::Display for Diagnostic {
                  leave out more than {skipped} with --repeats T:{}",
                 skipped + 1
             ),
-            Self::BeyondNoise { left } => write!(
+            Self::BeyondNoise { left, has_sigma } => write!(
                 f,
                 "what the model leaves of the periods' lines is {left:.2} times what noise explains: what repeats is \
-                 not linear, or of a higher order (--reduce); σ is widened by the root of that"
+                 not linear, or of a higher order (--reduce); {}",
+                if *has_sigma {
+                    "σ is widened by the root of that"
+                } else {
+                    "it has no σ, which noise would not decide"
+                }
             ),
             Self::NoisyLines { record, noisy, of } => write!(
                 f,

@@ -18,10 +18,12 @@ use nalgebra::DMatrix;
 /// Further lags of the input through the poles, and further lags of the output.
 const INPUTS: usize = 5;
 const OUTPUTS: usize = 2;
+pub(super) const FURTHER: usize = INPUTS + OUTPUTS;
 /// Lags of the input after the output.
 const AHEAD: usize = 5;
-/// What noise explains in all but one of 10⁵ records, of 7 and 5 degrees of freedom.
+/// What noise explains in all but one of 10⁵ records, of 7, 1 and 5 degrees of freedom.
 const LIMIT_PAST: f64 = 35.3;
+const LIMIT_NEXT: f64 = 19.5;
 const LIMIT_AHEAD: f64 = 30.9;
 /// The same of 2.
 const LIMIT_STRAIGHT: f64 = 23.0;
@@ -45,29 +47,17 @@ impl Left {
         let residuals = residuals(segments, model)?;
         let colour = Colour::of(&residuals);
         let of_model = model.parameters().len();
-        // What is before a delay that was chosen.
-        let earlier = model.nk.saturating_sub(1).max(shortest);
-        let sooner = usize::from(earlier < model.nk);
         let further: Vec<DMatrix<f64>> = segments
             .iter()
             .map(|segment| {
-                let by_input = all_pole(&model.a, segment.input.clone());
-                let by_output = all_pole(&model.a, model.simulate(&segment.input));
-                let at = |signal: &[f64], t: usize, lag: usize| {
-                    t.checked_sub(lag).and_then(|t| signal.get(t)).copied().unwrap_or_default()
+                // The input now, then those after; at the end the last one is held.
+                let after = |k: usize, t: usize| {
+                    let t = (t + k).min(segment.len().saturating_sub(1));
+                    segment.input.get(t).copied().unwrap_or_default()
                 };
-                let inputs = INPUTS - sooner;
-                let of = |t: usize, column: usize| match column {
-                    k if k < inputs => at(&by_input, t, model.nk + model.nb() + k),
-                    k if k < INPUTS => at(&by_input, t, earlier),
-                    k if k < INPUTS + OUTPUTS => at(&by_output, t, model.na() + 1 + k - INPUTS),
-                    // The input now, then those after; at the end the last one is held.
-                    k => {
-                        let t = (t + k - INPUTS - OUTPUTS).min(segment.len().saturating_sub(1));
-                        segment.input.get(t).copied().unwrap_or_default()
-                    }
-                };
-                DMatrix::from_fn(segment.len(), INPUTS + OUTPUTS + 1 + AHEAD, of)
+                let order = of_higher_order(segment, model, shortest);
+                let of = |t: usize, k: usize| order.get((t, k)).copied().unwrap_or_else(|| after(k - FURTHER, t));
+                DMatrix::from_fn(segment.len(), FURTHER + 1 + AHEAD, of)
             })
             .collect();
         let whitened = Whitened::of(segments, model, &further, &colour)?;
@@ -79,14 +69,17 @@ impl Left {
         let by_line = Whitened::of(segments, model, &segments.iter().map(line).collect::<Vec<_>>(), &beside_it)?;
         let straight = by_line.explained_by(of_model..of_model + 2) / LIMIT_STRAIGHT;
         let freedom = whitened.freedom();
-        let past = of_model..of_model + INPUTS + OUTPUTS;
+        let past = of_model..of_model + FURTHER;
         let ahead = past.end + 1..past.end + 1 + AHEAD;
         let over = |columns: std::ops::Range<usize>, limit: f64| {
             let count = columns.len() as f64;
             // The limit of F for few samples, by its first term.
             whitened.explained_by(columns) / (limit * (1.0 + (limit - count + 2.0) / (2.0 * freedom)))
         };
-        (freedom > 50.0).then(|| Self { past: over(past, LIMIT_PAST), ahead: over(ahead, LIMIT_AHEAD), straight })
+        // The next lag alone shows a delay of a fraction of a sample.
+        let next = over(of_model..of_model + 1, LIMIT_NEXT);
+        let past = over(past, LIMIT_PAST).max(next);
+        (freedom > 50.0).then(|| Self { past, ahead: over(ahead, LIMIT_AHEAD), straight })
     }
 
     /// Whether it follows the input before.
@@ -105,12 +98,30 @@ impl Left {
     }
 }
 
+/// What a model of higher order, or of another delay of no less than `shortest`, has besides: [`FURTHER`] columns.
+pub(super) fn of_higher_order(segment: &Segment, model: &Polynomials, shortest: usize) -> DMatrix<f64> {
+    // What is before a delay that was chosen.
+    let earlier = model.nk.saturating_sub(1).max(shortest);
+    let inputs = INPUTS - usize::from(earlier < model.nk);
+    let by_input = all_pole(&model.a, segment.input.clone());
+    let by_output = all_pole(&model.a, model.simulate(&segment.input));
+    let at = |signal: &[f64], t: usize, lag: usize| {
+        t.checked_sub(lag).and_then(|t| signal.get(t)).copied().unwrap_or_default()
+    };
+    let of = |t: usize, column: usize| match column {
+        k if k < inputs => at(&by_input, t, model.nk + model.nb() + k),
+        k if k < INPUTS => at(&by_input, t, earlier),
+        k => at(&by_output, t, model.na() + 1 + k - INPUTS),
+    };
+    DMatrix::from_fn(segment.len(), FURTHER, of)
+}
+
 /// The colour of what a model leaves in simulation; `None` where that is next to nothing.
 pub(in crate::identify) fn colour(segments: &[Segment], model: &Polynomials) -> Option<Colour> {
     residuals(segments, model).map(|residuals| Colour::of(&residuals))
 }
 
-fn residuals(segments: &[Segment], model: &Polynomials) -> Option<Vec<Vec<f64>>> {
+pub(super) fn residuals(segments: &[Segment], model: &Polynomials) -> Option<Vec<Vec<f64>>> {
     let rows = linearised(segments, model, Derivatives::None);
     let residuals: Vec<Vec<f64>> =
         segments.iter().zip(rows).map(|(segment, rows)| derivatives_and_residual(segment, rows).1).collect();

@@ -2,14 +2,14 @@
 //! amplifier.
 //!
 //! The model takes the mean of both. Method: a factor of the simulated output is fitted to what comes before and after
-//! a moment, where the two explain most of the residual.
+//! a moment, where the two explain most of what one factor leaves: a model that describes nothing has one near zero.
 
 use super::jump::{Sample, simulated};
 use crate::identify::data::segments::Record;
 use crate::identify::model::polynomials::Polynomials;
 use std::fmt;
 
-/// Part of the residual's energy that the two factors must explain. What the model lacks is out of phase with it, or
+/// Part of the energy left by one factor that the two must explain. What the model lacks is out of phase with it, or
 /// does not last.
 const MIN_EXPLAINED: f64 = 0.5;
 /// Change of the factor, as a part of the larger one, below which it hardly matters.
@@ -40,7 +40,7 @@ impl fmt::Display for GainChange {
 /// Where the gain of a record changes, as `model` tells; `None` where it does not.
 pub(super) fn gain_change(model: &Polynomials, record: &Record, period_s: f64) -> Option<GainChange> {
     let samples = simulated(model, record, period_s)?;
-    let left: f64 = samples.iter().map(|s| (s.observed - s.modelled).powi(2)).sum();
+    let observed: f64 = samples.iter().map(|s| s.observed.powi(2)).sum();
     // Of the observed on the modelled: sums of m m and y m.
     let sums = |(mm, ym): (f64, f64), s: &Sample| (mm + s.modelled * s.modelled, ym + s.observed * s.modelled);
     let (all, both) = samples.iter().fold((0.0, 0.0), sums);
@@ -50,8 +50,8 @@ pub(super) fn gain_change(model: &Polynomials, record: &Record, period_s: f64) -
         let after = all - before;
         if before.min(after) > MIN_SIDE * all {
             let (first, second) = (with / before, (both - with) / after);
-            // What each factor explains of the residual, more than a factor of one does.
-            let explained = (first - 1.0).powi(2) * before + (second - 1.0).powi(2) * after;
+            // More than one factor does.
+            let explained = with * first + (both - with) * second - both * both / all;
             let change = (second - first).abs() / first.abs().max(second.abs());
             if change > MIN_CHANGE && best.as_ref().is_none_or(|(most, _)| explained > *most) {
                 best = Some((explained, GainChange { time_s: sample.time_s, factor: second / first }));
@@ -59,6 +59,7 @@ pub(super) fn gain_change(model: &Polynomials, record: &Record, period_s: f64) -
         }
         (before, with) = sums((before, with), sample);
     }
+    let left = observed - both * both / all;
     best.filter(|(explained, _)| *explained > MIN_EXPLAINED * left).map(|(_, change)| change)
 }
 
@@ -94,6 +95,8 @@ mod tests {
         let real = Polynomials { a: vec![1.0, -0.9], b: vec![0.1], nk: 1 };
         assert_eq!(found(&real, |_, y| y), None);
         assert_eq!(found(&real, |_, y| 1.3 * y), None);
+        // It simulates 400 times too much, of which the best factor leaves nothing.
+        assert_eq!(found(&Polynomials { b: vec![3e-4], ..real.clone() }, |t, y| y + (0.9 * t as f64).sin()), None);
         assert_eq!(found(&real, |t, y| if t < 700 { y } else { y + 0.3 }), None);
         assert_eq!(found(&Polynomials { nk: 3, ..real.clone() }, |_, y| y), None);
         // Another time constant, with the same gain at rest.

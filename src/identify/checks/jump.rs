@@ -15,8 +15,8 @@ const MIN_EXPLAINED: f64 = 0.7;
 const MIN_PART: f64 = 0.05;
 /// Samples, as part of all, that either side must have.
 const MIN_SIDE: f64 = 0.05;
-/// Fewest samples.
-const MIN_SAMPLES: usize = 50;
+/// Fewest samples: what a model leaves of fewer is one slow swing, which looks like a jump, or another gain.
+const MIN_SAMPLES: usize = 100;
 
 /// Where a record's output begins to lie elsewhere.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,6 +5,7 @@ pub(super) mod diagnostic;
 pub(super) mod follows_input;
 mod frozen;
 mod gain_change;
+mod gain_drift;
 mod jump;
 pub(super) mod model_error;
 mod nonlinear;

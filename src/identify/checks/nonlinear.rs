@@ -1,6 +1,6 @@
 //! Whether a record says that the system is not linear: an amplifier that saturates, a dead zone, backlash, friction.
 //!
-//! A long ARX model, with a constant, has room for any linear response and colour of the noise: what is left is white.
+//! A long ARX model, with a line, has room for any linear response and colour of the noise: what is left is white.
 //! It is tested for five signals that no linear model makes from the input (a score test, Ljung, System Identification,
 //! 2nd ed., section 16.4; static elements before and after a linear system: Hammerstein and Wiener models): the part
 //! of the input beyond half of its largest value, the direction in which it last changed, both of the simulated
@@ -8,9 +8,9 @@
 //! hardens or softens (Duffing's), whose resonance depends on the amplitude. If the system is linear each has a
 //! coefficient of zero, and its ratio to σ is normal.
 //!
-//! Coulomb friction is a part of the input that always has the sign of the output's velocity, through the system. It
-//! is small from sample to sample, in the ARX model's noise: it is tested for in what the model's simulation leaves,
-//! for noise of any colour. What further lags of the input explain, directly and through the model's poles up to
+//! Coulomb friction is a part of the input that always has the sign of the output's velocity, through the system, and
+//! a fluid's drag one that grows with its square. They are small from sample to sample, in the ARX model's noise: they
+//! are tested for in what the model's simulation leaves, for noise of any colour. What further lags of the input explain, directly and through the model's poles up to
 //! three times, is taken out before: the model's own errors, and most of what a higher order would explain.
 //!
 //! Cannot tell: which of input and output it is about, where one follows the other; what little noise hides in a record
@@ -34,6 +34,10 @@ const LEAST_CHANGE: f64 = 0.05;
 const LEAST_WIDTH: f64 = 0.01;
 /// The same of friction, as a part of the input's range: one of 0.3 % changes the damping of a light system by 4 %.
 const LEAST_FRICTION: f64 = 0.001;
+/// The same of drag where the motion is fastest.
+const LEAST_DRAG: f64 = 0.005;
+/// Regressors of a line.
+const LINE: usize = 2;
 /// How often the input goes through the model's poles.
 const PASSES: usize = 3;
 /// Of a test signal, the part that the linear model cannot make, below which nothing can be told.
@@ -52,6 +56,8 @@ pub enum Element {
     Stiffness(f64),
     /// The part of the input that is always against the motion, over the input's range.
     Friction(f64),
+    /// What is lost, beyond linear damping, where the motion is fastest, over the input's range.
+    Drag(f64),
 }
 
 impl Element {
@@ -61,6 +67,7 @@ impl Element {
             Self::Gain(change) | Self::Stiffness(change) => change.abs() > LEAST_CHANGE,
             Self::Width(width) => *width > LEAST_WIDTH,
             Self::Friction(part) => *part > LEAST_FRICTION,
+            Self::Drag(part) => *part > LEAST_DRAG,
         }
     }
 }
@@ -84,7 +91,8 @@ impl fmt::Display for Nonlinear {
             Element::Gain(change) if *change <= -1.0 => write!(
                 f,
                 "beyond half of the largest {of} the output hardly follows any further ({sigmas:.0} σ): does the \
-                 amplifier, or something in the way, limit it? A linear model holds for one amplitude"
+                 amplifier, or something in the way, limit it, or was the input measured with noise? A linear model \
+                 holds for one amplitude"
             ),
             Element::Gain(change) => {
                 let percent = 100.0 * change.abs();
@@ -121,16 +129,30 @@ impl fmt::Display for Nonlinear {
                  damping of a linear model is then too large, and another for each amplitude",
                 100.0 * part
             ),
+            Element::Drag(part) => write!(
+                f,
+                "where the motion is fastest {:.1} % of the {of}'s range is lost to a drag that grows with the square \
+                 of the speed ({sigmas:.0} σ), as a fluid's: the damping of a linear model is another for each amplitude",
+                100.0 * part
+            ),
         }
     }
 }
 
-/// The most significant static element, if any is; else friction, as which the simulation may see the others too.
+/// The most significant static element, if any is; else friction or drag, as which the simulation may see the others.
 /// `model` is a stable one of the record.
 pub(super) fn nonlinear(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
     let is_told = |found: &Nonlinear| found.sigmas.abs() > SIGNIFICANT_SD;
     let told = of_static_elements(model, record).into_iter().flatten().filter(is_told);
-    told.max_by(|a, b| a.sigmas.abs().total_cmp(&b.sigmas.abs())).or_else(|| friction(model, record).filter(is_told))
+    let most = |a: &Nonlinear, b: &Nonlinear| a.sigmas.abs().total_cmp(&b.sigmas.abs());
+    let of_motion = || against_motion(model, record).into_iter().flatten().filter(is_told).max_by(most);
+    told.max_by(most).or_else(of_motion)
+}
+
+/// A line over a record's time, as regressors: what is left of a mean or trend.
+fn line(record: &Record, segment: usize, t: usize) -> [f64; LINE] {
+    let first = record.segments.get(segment).map_or(0, |segment| segment.first);
+    [1.0, (first + t) as f64 / record.span().max(1) as f64]
 }
 
 /// Elements before and behind the system that are large enough.
@@ -138,10 +160,10 @@ fn of_static_elements(model: &Polynomials, record: &Record) -> Option<Vec<Nonlin
     let nk = model.nk;
     let of_sample = |k: usize, t: usize| {
         let lags = record.segments.get(k).into_iter().flat_map(|segment| row(segment, t, (ORDER, ORDER, nk)));
-        lags.take(2 * ORDER).chain([1.0]).collect()
+        lags.take(2 * ORDER).chain(line(record, k, t)).collect()
     };
     let observed = record.segments.iter().map(|s| s.output.iter().copied().take(s.len()).collect()).collect();
-    let long = Regression::of(observed, (ORDER + nk, 2 * ORDER + 1), of_sample)?;
+    let long = Regression::of(observed, (ORDER + nk, 2 * ORDER + LINE), of_sample)?;
     let (linear, _) = long.parameters.as_slice().split_at_checked(2 * ORDER)?;
     let Polynomials { a, b, nk } = Polynomials::of(linear, ORDER, nk);
     let input: Vec<Vec<f64>> = record.segments.iter().map(|s| s.input.clone()).collect();
@@ -179,8 +201,8 @@ fn filled(observed: &[f64], simulated: &[f64]) -> Vec<f64> {
     observed.iter().zip(simulated).map(|(y, m)| if y.is_nan() { *m } else { *y }).collect()
 }
 
-/// Coulomb friction that is large enough.
-fn friction(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
+/// Coulomb friction and drag that are large enough.
+fn against_motion(model: &Polynomials, record: &Record) -> Option<Vec<Nonlinear>> {
     let order = model.na();
     let input: Vec<Vec<f64>> = record.segments.iter().map(|s| s.input.clone()).collect();
     let simulated = |s| output(model, s, Kind::Simulation(InitialState::Rest));
@@ -199,14 +221,20 @@ fn friction(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
         };
         let direct = input.get(k).map(|u| lags(u, ORDER)).into_iter().flatten();
         let through = passed.get(k).into_iter().flatten().flat_map(|signal| lags(signal, order));
-        direct.chain(through).chain([1.0]).collect()
+        direct.chain(through).chain(line(record, k, t)).collect()
     };
     let from = ORDER.max(order) + model.nk;
-    let linear = Regression::of(left, (from, ORDER + PASSES * order + 1), of_sample)?;
-    let against: Vec<Vec<f64>> = modelled.iter().map(|y| model.simulate(&directions(y))).collect();
-    let (coefficient, sigmas) = linear.coefficient(&against)?;
-    let element = Element::Friction(-coefficient / Range::of(&input).width);
-    element.is_large().then_some(Nonlinear { of: "input", element, sigmas })
+    let linear = Regression::of(left, (from, ORDER + PASSES * order + LINE), of_sample)?;
+    let width = Range::of(&input).width;
+    let test = |against: fn(&[f64]) -> Vec<f64>, element: fn(f64) -> Element| {
+        let signal: Vec<Vec<f64>> = modelled.iter().map(|y| against(y)).collect();
+        let most = signal.iter().flatten().fold(0.0, |most: f64, v| most.max(v.abs()));
+        let acting: Vec<Vec<f64>> = signal.iter().map(|s| model.simulate(s)).collect();
+        let (coefficient, sigmas) = linear.coefficient(&acting)?;
+        Some(Nonlinear { of: "input", element: element(-coefficient * most / width), sigmas })
+    };
+    let tests = [test(directions, Element::Friction), test(squared_speeds, Element::Drag)];
+    Some(tests.into_iter().flatten().filter(|found| found.element.is_large()).collect())
 }
 
 /// The extent of a signal.
@@ -245,6 +273,13 @@ fn directions(signal: &[f64]) -> Vec<f64> {
         direction
     };
     signal.iter().map(&mut next).collect()
+}
+
+/// The square of a signal's speed, per sample, with its sign.
+fn squared_speeds(signal: &[f64]) -> Vec<f64> {
+    let at = |t: usize| signal.get(t.min(signal.len().saturating_sub(1))).copied().unwrap_or_default();
+    let speed = |t: usize| 0.5 * (at(t + 1) - at(t.saturating_sub(1)));
+    (0..signal.len()).map(|t| speed(t) * speed(t).abs()).collect()
 }
 
 /// A linear model of one record, by least squares.
@@ -333,6 +368,7 @@ impl<R: Fn(usize, usize) -> Vec<f64>> Regression<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identify::data::prepare::Trend;
     use crate::identify::data::segments::Segment;
     use crate::testing::random::Random;
     use std::f64::consts::TAU;
@@ -440,10 +476,10 @@ mod tests {
         }
     }
 
-    /// A pendulum of 6 rad/s with a friction of 1 % of the input's amplitude, and without one.
+    /// A pendulum of 6 rad/s with a friction of 1 % of the input's amplitude, with a fluid's drag, and without either.
     #[test]
-    fn friction_is_told_with_its_size() {
-        let pendulum = |input: &[f64], friction: f64| {
+    fn friction_and_drag_are_told_with_their_size() {
+        let pendulum = |input: &[f64], against: &dyn Fn(f64) -> f64| {
             const STEPS: usize = 40;
             let step_s = 1.0 / (60.0 * STEPS as f64);
             let (mut angle, mut speed) = (0.0_f64, 0.0_f64);
@@ -451,8 +487,7 @@ mod tests {
             for u in input {
                 output.push(angle);
                 for _ in 0..STEPS {
-                    let against = friction * (speed / 0.02).tanh();
-                    speed += step_s * (36.0 * (u - against) - 3.6 * speed - 36.0 * angle);
+                    speed += step_s * (36.0 * (u - against(speed)) - 3.6 * speed - 36.0 * angle);
                     angle += step_s * speed;
                 }
             }
@@ -467,13 +502,34 @@ mod tests {
                 crate::identify::estimate::output_error::refine(std::slice::from_ref(&segment), &start).unwrap();
             nonlinear(&model.estimated.model, &Record { name: "r".to_owned(), segments: vec![segment] })
         };
+        let (friction, none) = (|speed: f64| 0.01 * (speed / 0.02).tanh(), |_: f64| 0.0);
         for seed in 1..=10 {
-            let told = fitted(&chirp(), &pendulum(&chirp(), 0.01), seed).unwrap();
+            let told = fitted(&chirp(), &pendulum(&chirp(), &friction), seed).unwrap();
             // The range of the input is 2; slow motion has less friction here.
             assert!(matches!(told.element, Element::Friction(part) if (0.0035..0.0055).contains(&part)), "{told:?}");
-            assert_eq!(fitted(&chirp(), &pendulum(&chirp(), 0.0), seed), None, "{seed}");
+            assert_eq!(fitted(&chirp(), &pendulum(&chirp(), &none), seed), None, "{seed}");
             let levels = levels(30, seed, |u| u);
-            assert_eq!(fitted(&levels, &pendulum(&levels, 0.0), seed), None, "{seed}");
+            assert_eq!(fitted(&levels, &pendulum(&levels, &none), seed), None, "{seed}");
+            let moved = pendulum(&levels, &|speed: f64| 0.01 * speed * speed.abs());
+            let speeds = moved.iter().zip(moved.iter().skip(1)).map(|(before, after)| (after - before) * 60.0);
+            // Of a range of 2.
+            let most = 0.005 * speeds.fold(0.0, |most: f64, v| most.max(v * v));
+            let told = fitted(&levels, &moved, seed).unwrap();
+            assert!(matches!(told.element, Element::Drag(part) if (part / most - 1.0).abs() < 0.3), "{told:?} {most}");
+        }
+    }
+
+    /// A line taken off two levels leaves many.
+    #[test]
+    fn what_was_detrended_is_as_linear_as_before() {
+        for seed in 1..=8 {
+            let input: Vec<f64> = levels(5, seed, f64::signum);
+            let mut random = Random::new(seed);
+            let output = model().simulate(&input).iter().map(|y| y + 0.02 * random.normal()).collect();
+            let mut segment = Segment { output, input, from_rest: true, ..Segment::default() };
+            Trend::of(std::slice::from_ref(&segment), 0.02, true).remove(&mut segment, 0.02);
+            let record = Record { name: "r".to_owned(), segments: vec![segment] };
+            assert_eq!(nonlinear(&model(), &record), None, "{seed}");
         }
     }
 }

@@ -76,6 +76,13 @@ impl Whitened {
         self.rows as f64 / self.alike * left.ln()
     }
 
+    /// The coefficient of the last further column, all others known.
+    pub(super) fn last_coefficient(&self) -> Option<f64> {
+        let last = self.triangle.ncols().checked_sub(1)?;
+        let at = last.checked_sub(1)?;
+        Some(self.triangle.get((at, last))? / self.triangle.get((at, at))?)
+    }
+
     /// How much columns explain, those before them known: χ² of as many degrees of freedom where they explain nothing.
     /// The smaller of two: for noise of one variance, and for noise whose variance changes.
     pub(super) fn explained_by(&self, columns: std::ops::Range<usize>) -> f64 {

@@ -3,6 +3,7 @@
 use crate::identify::checks::diagnostic::Diagnostic;
 use crate::identify::checks::frozen::{Signal, frozen};
 use crate::identify::checks::gain_change::gain_change;
+use crate::identify::checks::gain_drift::gain_drift;
 use crate::identify::checks::jump::jump;
 use crate::identify::checks::nonlinear::nonlinear;
 use crate::identify::checks::outliers;
@@ -24,8 +25,9 @@ pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled]
         let at_limit = at_limit.map(|(count, value)| Diagnostic::AtLimit { record: name(), count, value });
         let jump = stable().find_map(|model| jump(&model.model, record, period_s));
         let moved = jump.map(|jump| Diagnostic::Jumps { record: name(), jump }).or_else(|| {
-            let change = stable().find_map(|model| gain_change(&model.model, record, period_s))?;
-            Some(Diagnostic::GainChange { record: name(), change })
+            let change = stable().find_map(|model| gain_change(&model.model, record, period_s));
+            let change = change.map(|change| Diagnostic::GainChange { record: name(), change });
+            change.or_else(|| Some(Diagnostic::GainDrift { record: name(), drift: gain_drift(&model?.model, record)? }))
         });
         let hung = |signal: Signal| {
             let frozen = frozen(&model?.model, record, period_s, signal)?;

@@ -12,6 +12,8 @@ use crate::series::{Current, Frame, Recording};
 /// Interval, in periods, beyond which frames were lost.
 const GAP_PERIODS: f64 = 1.5;
 const S_PER_NS: f64 = 1e-9;
+/// A last command that is longer than this before the first frame has another clock, seconds.
+const LONGEST_BEFORE_S: f64 = 60.0;
 
 /// Why a recording cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -163,9 +165,9 @@ impl Observed {
                 push(from, from + step, if lost == 0 { *theta } else { None });
             }
         }
-        if series.drive.iter().all(Option::is_none) {
+        let (first, last) = commands.span_s().unwrap_or_default();
+        if series.drive.iter().all(Option::is_none) || last + delay_s < -LONGEST_BEFORE_S {
             let on_camera = |s: f64| s + self.zero_ns as f64 * S_PER_NS;
-            let (first, last) = commands.span_s().unwrap_or_default();
             let end = self.time_s.last().copied().unwrap_or(0.0);
             return Err(RecordedError::ClocksApart {
                 name: self.name.clone(),
@@ -272,5 +274,10 @@ mod tests {
         let held = observed.commands("c", &[command(9000, 1.0), command(9500, 1.0)], 1).unwrap();
         let apart = observed.series(&held, None, 0.0).unwrap_err().to_string();
         assert!(apart.contains("from 5.000 s to 5.010 s and commands from 9.000 s to 9.500 s"), "{apart}");
+        // Commands from zero, frames since 1970.
+        let observed = Observed::of(&recording(&[1_000_000, 1_000_010], |_| Some(0.0))).unwrap();
+        let held = observed.commands("c", &[command(0, 1.0), command(500, 2.0)], 1).unwrap();
+        assert!(matches!(observed.series(&held, None, 0.0), Err(RecordedError::ClocksApart { .. })));
+        assert!(observed.series(&held, None, 990.0).is_ok());
     }
 }

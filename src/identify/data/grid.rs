@@ -9,8 +9,12 @@ use crate::identify::data::segments::{Record, Segment};
 use crate::median::upper_median;
 use crate::plural::plural;
 
-/// Largest deviation of an interval from whole periods, in periods.
+/// Largest deviation of an interval from whole periods, or else of all samples from their places, in periods.
 const TOLERANCE: f64 = 0.25;
+/// Samples on either side of an uneven interval, and how much later, in periods, those behind it are if times do not go
+/// on by the same grid.
+const BESIDE: usize = 5;
+const SHIFTED: f64 = 0.15;
 /// Distance of a sample from the line between the ends, in periods, beyond which the rate may have changed.
 const OFF_GRID: f64 = 0.5;
 /// Relative difference of the mean intervals before and after that is a change of the rate, and by how many σ of them
@@ -158,28 +162,17 @@ impl Grid {
     pub(crate) fn of(name: &str, time_s: &[f64]) -> Result<Self, GridError> {
         let usual = usual_interval(name, time_s)?;
         let mut places = vec![0];
-        let (mut place, mut uneven, mut worst) = (0, 0, (0.0, 0));
+        let (mut place, mut uneven, mut worst) = (0, Vec::new(), (0.0, 0));
         for (k, pair) in time_s.windows(2).enumerate() {
             let periods = (pair[1] - pair[0]) / usual;
             let whole = periods.round().max(1.0);
             let off = (periods - whole).abs();
-            uneven += usize::from(off > TOLERANCE);
+            uneven.extend((off > TOLERANCE).then_some(k));
             if off > worst.0 {
                 worst = (off, k);
             }
             place += whole as usize;
             places.push(place);
-        }
-        if uneven > 0 {
-            let (_, k) = worst;
-            return Err(GridError::Uneven {
-                name: name.to_owned(),
-                interval_s: time_s[k + 1] - time_s[k],
-                at_s: time_s[k],
-                period_s: usual,
-                uneven,
-                intervals: places.len() - 1,
-            });
         }
         // Least squares of time over place, about the means.
         let n = time_s.len() as f64;
@@ -187,7 +180,21 @@ impl Grid {
         let mean_k = places.iter().map(|k| *k as f64).sum::<f64>() / n;
         let pairs = || time_s.iter().zip(&places).map(|(t, k)| (t - mean_t, *k as f64 - mean_k));
         let period_s = pairs().map(|(t, k)| t * k).sum::<f64>() / pairs().map(|(_, k)| k * k).sum::<f64>();
-        let jitter_s = (pairs().map(|(t, k)| (t - period_s * k).powi(2)).sum::<f64>() / n).sqrt();
+        // Two neighbours that are early and late make an uneven interval, but those around them are on the grid.
+        let off_s = || pairs().map(|(t, k)| (t - period_s * k).abs());
+        let shifts = |k: &usize| shift_s(time_s, &places, *k, usual).abs() > SHIFTED * usual;
+        if uneven.iter().any(shifts) || !uneven.is_empty() && off_s().any(|off_s| off_s > TOLERANCE * period_s) {
+            let (_, k) = worst;
+            return Err(GridError::Uneven {
+                name: name.to_owned(),
+                interval_s: time_s[k + 1] - time_s[k],
+                at_s: time_s[k],
+                period_s: usual,
+                uneven: uneven.len(),
+                intervals: places.len() - 1,
+            });
+        }
+        let jitter_s = (off_s().map(|off_s| off_s * off_s).sum::<f64>() / n).sqrt();
         // Where the rate changes, times are farthest from the line between first and last; ends may be as far from the
         // other one.
         let (first_s, last_s) = (time_s[0], time_s[time_s.len() - 1]);
@@ -202,6 +209,15 @@ impl Grid {
         }
         Ok(Self { period_s, lost: place + 1 - places.len(), places, jitter_s })
     }
+}
+
+/// By how much the samples behind interval `k` are later on the grid than those before it, seconds.
+fn shift_s(time_s: &[f64], places: &[usize], k: usize, period_s: f64) -> f64 {
+    let mean_s = |samples: std::ops::Range<usize>| {
+        let off_s = time_s.iter().zip(places).map(|(t, place)| t - period_s * *place as f64);
+        off_s.skip(samples.start).take(samples.len()).sum::<f64>() / samples.len() as f64
+    };
+    mean_s(k + 1..time_s.len().min(k + 1 + BESIDE)) - mean_s((k + 1).saturating_sub(BESIDE)..k + 1)
 }
 
 /// The periods before and after sample `k`, if they differ clearly.
@@ -282,6 +298,7 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
             output: output[from..to].iter().map(|y| y.unwrap_or(f64::NAN)).collect(),
             instrument: series.plant.map(|_| drive[from..to].iter().flatten().copied().collect()),
             by_zero: series.fit_zero.then(|| (from..to).filter_map(by_zero_at).collect()),
+            zero_drifts: false,
             record: 0,
             // Before the first drive it was zero; before a missed angle it may have been anything.
             from_rest: segments.is_empty() && drive[..from].iter().all(Option::is_none),
@@ -410,6 +427,7 @@ pub(crate) fn rounded_to(series: &Series) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identify::tests::noise;
 
     fn series(time_s: &[f64], of: impl Fn(f64) -> f64) -> Series {
         Series {
@@ -442,6 +460,24 @@ mod tests {
             assert_eq!(grid.places.last().copied(), all, "{lost}");
             assert!((grid.period_s - 1.0 / 60.0).abs() < 1e-6, "{lost}: {}", grid.period_s);
         }
+    }
+
+    /// A USB camera's stamps, 1 ms early or late.
+    #[test]
+    fn neighbours_that_are_early_and_late_are_still_a_grid() {
+        let places: Vec<usize> = (0..2000).filter(|k| k % 500 != 77).collect();
+        let jitter_s: Vec<f64> = noise(3, 2000).iter().map(|e| 1e-3 * e).collect();
+        let stamps = |after_s: f64| -> Vec<f64> {
+            let late_s = |k: usize| if k < 1000 { 0.0 } else { after_s };
+            places.iter().map(|k| *k as f64 / 60.0 + jitter_s[*k] + late_s(*k)).collect()
+        };
+        let grid = Grid::of("r", &stamps(0.0)).unwrap();
+        assert!((grid.period_s * 60.0 - 1.0).abs() < 1e-5 && grid.lost == 4 && grid.places == places, "{grid:?}");
+        assert!((grid.jitter_s - 1e-3).abs() < 1e-4, "{}", grid.jitter_s);
+        // A pause of a part of a period moves all that come after.
+        assert!(matches!(Grid::of("r", &stamps(0.4 / 60.0)), Err(GridError::Uneven { .. })));
+        let uneven = stamps(0.0).windows(2).filter(|t| ((t[1] - t[0]) * 60.0 - 1.0).abs() > TOLERANCE).count();
+        assert!(uneven > 4, "{uneven}");
     }
 
     #[test]

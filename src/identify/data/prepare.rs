@@ -74,7 +74,7 @@ impl Trend {
         Self { input: line(|s| &s.input), output: line(|s| &s.output) }
     }
 
-    /// Removes it.
+    /// Removes it. What was taken off input and output are not at rest together: the difference is left to be fitted.
     pub(crate) fn remove(&self, segment: &mut Segment, period_s: f64) {
         let start_s = segment.start_s;
         let off = |signal: &mut [f64], line: Line| {
@@ -83,7 +83,8 @@ impl Trend {
         off(&mut segment.input, self.input);
         off(&mut segment.output, self.output);
         // What remains of the zero is an offset of the output alone.
-        segment.by_zero.iter_mut().flatten().for_each(|by_zero| *by_zero = 0.0);
+        segment.by_zero = Some(vec![0.0; segment.len()]);
+        segment.zero_drifts = self.input.slope != 0.0 || self.output.slope != 0.0;
     }
 }
 
@@ -118,6 +119,7 @@ pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record 
             output: output.into_iter().step_by(factor).take(input.len()).collect(),
             instrument: segment.instrument.as_deref().map(|signal| held(from(signal, skip))),
             by_zero: segment.by_zero.as_deref().map(|signal| held(from(signal, skip))),
+            zero_drifts: segment.zero_drifts,
             record: segment.record,
             input,
             from_rest: false,

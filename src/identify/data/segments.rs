@@ -20,6 +20,8 @@ pub struct Segment {
     /// Change of the input per change of the output's zero, as long as the input, if that zero is not known and is to
     /// be fitted: see `unknown_zero`.
     pub by_zero: Option<Vec<f64>>,
+    /// Whether that zero may also drift, by a line over the record.
+    pub zero_drifts: bool,
     /// Number of its record among those fitted together.
     pub record: usize,
     /// Whether the system was at rest before: true for the first segment of a record.
@@ -53,6 +55,7 @@ impl Segment {
             output: self.output[from..to].to_vec(),
             instrument: self.instrument.as_ref().map(|i| i[from..to].to_vec()),
             by_zero: self.by_zero.as_ref().map(|z| z[from..to].to_vec()),
+            zero_drifts: self.zero_drifts,
             record: self.record,
             from_rest: self.from_rest && from == 0,
         }

@@ -20,7 +20,7 @@ use crate::identify::model::polynomials::{Polynomials, all_pole};
 use crate::identify::solve::descent::Descent;
 use crate::identify::solve::regression::{Triangle, solve};
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 const DESCENT: Descent = Descent { first_damping: 1e-4, tolerance: 1e-12, max_steps: 100 };
 
@@ -114,8 +114,9 @@ pub(in crate::identify) fn nearest(segments: &[Segment], initial: &Polynomials) 
 pub(super) fn fitted_besides(segments: &[Segment], model: &Polynomials) -> usize {
     // Each segment that does not begin at rest has its own initial state.
     let states: usize = segments.iter().filter_map(|s| free_initial_state(s, model)).map(|open| open.ncols()).sum();
-    let zeros: BTreeSet<usize> = segments.iter().filter(|s| s.by_zero.is_some()).map(|s| s.record).collect();
-    states + zeros.len()
+    let zeros = segments.iter().filter(|s| s.by_zero.is_some());
+    let zeros: BTreeMap<usize, usize> = zeros.map(|s| (s.record, 1 + usize::from(s.zero_drifts))).collect();
+    states + zeros.values().sum::<usize>()
 }
 
 /// Possible contributions of the initial state to the output of a segment that does not begin at rest: orthonormal
@@ -203,11 +204,12 @@ fn columns(segment: &Segment, model: &Polynomials, wanted: Derivatives<'_>, furt
     let mut output = model.simulate(&segment.input);
     let seen = |t: usize, value: f64| if segment.output[t].is_nan() { 0.0 } else { value };
     let mut left = DVector::from_fn(segment.len(), |t, _| seen(t, segment.output[t] - output[t]));
-    let mut by_zero = unknown_zero::response(segment, model).map(DVector::from_vec);
+    let mut by_zero = unknown_zero::response(segment, model);
     if let Some(open) = &open {
         let free = project_out(open, &mut left.column_mut(0));
         output.iter_mut().zip(free.iter()).for_each(|(y, free)| *y += free);
-        by_zero.iter_mut().for_each(|by_zero| drop(project_out(open, &mut by_zero.column_mut(0))));
+        let columns = by_zero.iter_mut().flat_map(DMatrix::column_iter_mut);
+        columns.for_each(|mut column| drop(project_out(open, &mut column)));
     }
     let derivatives = match wanted {
         Derivatives::None => 0,

@@ -52,7 +52,15 @@ pub struct Periodic {
     pub other_delays: Vec<usize>,
 }
 
+/// Residual over noise up to which σ, widened by it, is still one of noise: beyond, what the model lacks decides.
+const MOST_LEFT: f64 = 4.0;
+
 impl Periodic {
+    /// Whether the model leaves hardly more than noise, so that its errors are those of noise.
+    pub(crate) fn explains_lines(&self) -> bool {
+        self.left < MOST_LEFT
+    }
+
     /// Lines of all records.
     pub fn lines(&self) -> impl Iterator<Item = &Line> {
         self.records.iter().flat_map(|r| &r.lines)

@@ -159,6 +159,7 @@ fn a_system_that_has_not_settled_and_one_of_higher_order_are_noticed() {
     assert!((0.5..1.6).contains(&settled.records[0].first_off), "{}", settled.records[0].first_off);
     let first_order = fit(&[record(1, 12, 0.0, 0.2)], PERIOD_S, every(3), Target::Order(1), &[1], &[]).unwrap();
     assert!(first_order.left > 1.0 + 10.0 * first_order.left_sd, "{} {}", first_order.left, first_order.left_sd);
+    assert!(!first_order.explains_lines() && settled.explains_lines(), "{} {}", first_order.left, settled.left);
 }
 
 #[test]
