@@ -3,6 +3,8 @@
 //! The model has the mean gain, and σ says nothing of the drift. Method: a factor that grows with time is tested for in
 //! what the model leaves of its simulation (a score test, as in follows_input.rs), after what a model of higher order
 //! has besides: where the frequency of the input changes with time, an error of the response would look like it.
+//!
+//! Cannot tell: of Eq. 6, whose input has the output's noise in it.
 
 use super::follows_input::{FURTHER, of_higher_order, residuals};
 use super::whitened_simulation::Whitened;
@@ -41,6 +43,9 @@ impl fmt::Display for GainDrift {
 
 /// How the gain of a record drifts, as its `model` tells; `None` where it does not.
 pub(super) fn gain_drift(model: &Polynomials, record: &Record) -> Option<GainDrift> {
+    if record.segments.iter().any(|segment| segment.instrument.is_some()) {
+        return None;
+    }
     let colour = Colour::of(&residuals(&record.segments, model)?);
     let span = record.span().max(1) as f64;
     let columns = |segment: &Segment| {

@@ -29,6 +29,8 @@ const ORDER: usize = 20;
 const ROWS_PER_COEFFICIENT: usize = 10;
 /// Ratio to σ beyond which a coefficient is told: chance is beyond in two records of a million.
 const SIGNIFICANT_SD: f64 = 5.0;
+/// Ratio of the significance of friction or drag to that of a static element from which they are told.
+const CLEARER: f64 = 3.0;
 /// Changes of the gain, and widths as a part of the signal's range, that are told.
 const LEAST_CHANGE: f64 = 0.05;
 const LEAST_WIDTH: f64 = 0.01;
@@ -139,14 +141,20 @@ impl fmt::Display for Nonlinear {
     }
 }
 
-/// The most significant static element, if any is; else friction or drag, as which the simulation may see the others.
+/// The most significant static element, if any is; else friction or drag, as which the simulation may see the others,
+/// or if they are much more significant.
 /// `model` is a stable one of the record.
 pub(super) fn nonlinear(model: &Polynomials, record: &Record) -> Option<Nonlinear> {
     let is_told = |found: &Nonlinear| found.sigmas.abs() > SIGNIFICANT_SD;
     let told = of_static_elements(model, record).into_iter().flatten().filter(is_told);
     let most = |a: &Nonlinear, b: &Nonlinear| a.sigmas.abs().total_cmp(&b.sigmas.abs());
-    let of_motion = || against_motion(model, record).into_iter().flatten().filter(is_told).max_by(most);
-    told.max_by(most).or_else(of_motion)
+    let of_motion = against_motion(model, record).into_iter().flatten().filter(is_told).max_by(most);
+    match (told.max_by(most), of_motion) {
+        (Some(of_static), Some(of_motion)) if of_motion.sigmas.abs() > CLEARER * of_static.sigmas.abs() => {
+            Some(of_motion)
+        }
+        (of_static, of_motion) => of_static.or(of_motion),
+    }
 }
 
 /// A line over a record's time, as regressors: what is left of a mean or trend.
