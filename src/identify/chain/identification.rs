@@ -95,13 +95,14 @@ impl Identification {
         Role::leading(&self.models, |model| model.role)
     }
 
-    /// Whether a diagnostic is worth interrupting for. That the full model's orders are the last of the search, or its
-    /// residuals not white, comes with nearly every good record, and says nothing of a refined model that leaves noise
-    /// only.
+    /// Whether a diagnostic is worth interrupting for. That the full model's orders are the last of the search, its
+    /// residuals not white, or its simulation far off, comes with many good records, and says nothing of a refined model
+    /// that leaves noise only.
     pub fn matters(&self, diagnostic: &Diagnostic) -> bool {
         let of_full = match diagnostic {
             Diagnostic::AtEdge { what, .. } => *what != "nk",
             Diagnostic::Coloured { .. } | Diagnostic::ReducedDiffers { .. } => true,
+            Diagnostic::Poor { other, .. } => other.is_some(),
             _ => false,
         };
         let has_sigma = self.model(Role::Refined).is_some_and(|refined| refined.covariance.is_some());

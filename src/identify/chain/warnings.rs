@@ -7,7 +7,7 @@ use crate::identify::checks::wrong_values::leaves_sigma;
 use crate::identify::data::segments::{Data, Record};
 use crate::identify::data::spectrum::Spectrum;
 use crate::identify::model::continuous::Conversion;
-use crate::identify::model::modelled::{ContinuousEstimate, Role};
+use crate::identify::model::modelled::{ContinuousEstimate, Modelled, Role};
 use crate::identify::model::polynomials::{Orders, angle};
 use crate::identify::model::reproduction::{InitialState, Kind, best_gain};
 
@@ -56,12 +56,17 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
             diagnostics.push(Diagnostic::NearlyUnstable { title, largest_pole });
         }
     }
+    let simulation = |model: &Modelled| {
+        let led = |f: &&Fit| f.training && f.role == model.role && matches!(f.kind, Kind::Simulation(_));
+        done.fits.iter().find(led).map(|f| f.error.error_percent)
+    };
+    let is_poor = |error_percent: &f64| *error_percent > POOR_FIT_PERCENT;
+    let other = done.leading().filter(|model| model.is_stable() && simulation(model).is_some_and(|e| !is_poor(&e)));
     for model in done.models.iter().filter(|m| m.is_stable()) {
-        let led =
-            done.fits.iter().find(|f| f.training && f.role == model.role && matches!(f.kind, Kind::Simulation(_)));
-        if let Some(error_percent) = led.map(|f| f.error.error_percent).filter(|e| *e > POOR_FIT_PERCENT) {
+        if let Some(error_percent) = simulation(model).filter(is_poor) {
             let linear = done.spectrum.as_ref().map(Spectrum::linear_part);
-            diagnostics.push(Diagnostic::Poor { title: model.title.clone(), error_percent, linear });
+            let (title, other) = (model.title.clone(), other.map(|other| other.title.clone()));
+            diagnostics.push(Diagnostic::Poor { title, error_percent, linear, other });
         }
     }
     diagnostics.extend(strange_records(done));

@@ -42,6 +42,8 @@ pub enum Diagnostic {
         error_percent: f64,
         /// Fraction of the output's energy that follows the input linearly, from the spectra, if there are any.
         linear: Option<f64>,
+        /// The model to use, if that explains more.
+        other: Option<String>,
     },
     /// A record to judge by is unlike those that were fitted.
     StrangeRecord {
@@ -407,12 +409,12 @@ impl fmt::Display for Diagnostic {
                  fitted to: are units, coil, delay and signs the same? Orders were judged by it too",
                 left_over(*error_percent)
             ),
-            Self::Poor { title, error_percent, linear } => write!(
+            Self::Poor { title, error_percent, linear, other } => write!(
                 f,
                 "{title}: {}its simulation leaves {} of the energy of the data it was fitted to: {}",
                 if *error_percent > 100.0 { "does not describe the data, " } else { "" },
                 left_over(*error_percent),
-                why_poor(*linear)
+                other.as_ref().map_or_else(|| why_poor(*linear), |other| format!("use {other}, which describes them"))
             ),
             Self::Together { coils, ratio } => write!(
                 f,
@@ -615,8 +617,9 @@ mod tests {
 
     #[test]
     fn a_model_that_describes_nothing_is_not_given_a_number() {
-        let poor =
-            |error_percent| Diagnostic::Poor { title: "ARX".to_owned(), error_percent, linear: None }.to_string();
+        let poor = |error_percent| {
+            Diagnostic::Poor { title: "ARX".to_owned(), error_percent, linear: None, other: None }.to_string()
+        };
         assert!(poor(1e12).starts_with("ARX: does not describe the data, its simulation leaves more than 1000 % of"));
         assert!(poor(60.0).starts_with("ARX: its simulation leaves 60 % of the energy"));
     }

@@ -10,8 +10,9 @@
 //!
 //! Coulomb friction is a part of the input that always has the sign of the output's velocity, through the system, and
 //! a fluid's drag one that grows with its square. They are small from sample to sample, in the ARX model's noise: they
-//! are tested for in what the model's simulation leaves, for noise of any colour. What further lags of the input explain, directly and through the model's poles up to
-//! three times, is taken out before: the model's own errors, and most of what a higher order would explain.
+//! are tested for in what the model's simulation leaves, for noise of any colour. What further lags of the input
+//! explain, directly and through the model's poles up to three times, is taken out before: the model's own errors, and
+//! most of what a higher order would explain.
 //!
 //! Cannot tell: which of input and output it is about, where one follows the other; what little noise hides in a record
 //! that is sampled much faster than it moves; an input of two levels, whose amplitude is always the same.
@@ -58,7 +59,7 @@ pub enum Element {
     Stiffness(f64),
     /// The part of the input that is always against the motion, over the input's range.
     Friction(f64),
-    /// What is lost, beyond linear damping, where the motion is fastest, over the input's range.
+    /// The drag where the motion is fastest, over the input's range.
     Drag(f64),
 }
 

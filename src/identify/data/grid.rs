@@ -9,8 +9,9 @@ use crate::identify::data::segments::{Record, Segment};
 use crate::median::upper_median;
 use crate::plural::plural;
 
-/// Largest deviation of an interval from whole periods, or else of all samples from their places, in periods.
+/// Largest deviation of an interval from whole periods, or else of a sample from its place, in periods.
 const TOLERANCE: f64 = 0.25;
+const OFF_PLACE: f64 = 0.35;
 /// Samples on either side of an uneven interval, and how much later, in periods, those behind it are if times do not go
 /// on by the same grid.
 const BESIDE: usize = 5;
@@ -183,7 +184,7 @@ impl Grid {
         // Two neighbours that are early and late make an uneven interval, but those around them are on the grid.
         let off_s = || pairs().map(|(t, k)| (t - period_s * k).abs());
         let shifts = |k: &usize| shift_s(time_s, &places, *k, usual).abs() > SHIFTED * usual;
-        if uneven.iter().any(shifts) || !uneven.is_empty() && off_s().any(|off_s| off_s > TOLERANCE * period_s) {
+        if uneven.iter().any(shifts) || !uneven.is_empty() && off_s().any(|off_s| off_s > OFF_PLACE * period_s) {
             let (_, k) = worst;
             return Err(GridError::Uneven {
                 name: name.to_owned(),
