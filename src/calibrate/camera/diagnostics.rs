@@ -4,6 +4,7 @@
 
 use super::CameraCalibration;
 use super::models::Model;
+use super::turn::Turn;
 use crate::calibrate::bundle::shape::UNEVEN_TERMS;
 use crate::calibrate::least_squares::sigmas;
 use crate::optics::{Lens, corners};
@@ -16,6 +17,19 @@ fn advice(model: Model) -> &'static str {
         Model::Brown => "calibrate with --lens 5",
         Model::Rational => "calibrate with --lens 8, with boards out to the corners",
         Model::Fisheye => "a rig has no fisheye model; stay within the boards' part of the picture",
+    }
+}
+
+/// Why pictures may have two lenses, and what to do.
+fn why_two_lenses(turn: Option<Turn>) -> String {
+    match turn {
+        Some(turn) => format!(
+            "one is nearly the other {turn}; were some pictures, by a viewer, a converter or a setting of the camera? \
+             Give all of them as the camera takes them in use"
+        ),
+        None => "are they of two cameras, was focus or zoom moved, or were some cropped, stabilised, or turned by \
+                 180°? Take pictures with one setting"
+            .to_owned(),
     }
 }
 
@@ -38,17 +52,18 @@ pub enum CameraDiagnostic {
     /// Two groups of pictures with different lenses.
     #[error(
         "the pictures fall into two groups with different lenses, of {0:.1} and {1:.1} px focal length, centre \
-         ({2:.1}, {3:.1}) and ({4:.1}, {5:.1}): are they of two cameras, was focus or zoom moved, or were some \
-         cropped, stabilised, or turned by 180°? σ includes the distance from both lenses. Take pictures with one \
-         setting. One group: {names}",
+         ({2:.1}, {3:.1}) and ({4:.1}, {5:.1}): {why}. σ includes the distance from both lenses. One group: {names}",
         .lenses[0].focal_px.x, .lenses[1].focal_px.x, .lenses[0].principal_point_px.x, .lenses[0].principal_point_px.y,
-        .lenses[1].principal_point_px.x, .lenses[1].principal_point_px.y, names = .names.join(", ")
+        .lenses[1].principal_point_px.x, .lenses[1].principal_point_px.y, names = .names.join(", "),
+        why = why_two_lenses(*.turn)
     )]
     TwoLenses {
         /// Pictures of the smaller group.
         names: Vec<String>,
         /// The lens of the smaller group, and of the other.
         lenses: [Lens; 2],
+        /// How one group is turned, if that is the difference.
+        turn: Option<Turn>,
     },
     /// Another lens model is better.
     #[error(
@@ -117,8 +132,9 @@ pub enum CameraDiagnostic {
     /// A print whose squares are not of one size.
     #[error(
         "the print is uneven: corners are up to {shifted_mm:.3} mm from where even rows and columns would have them, \
-         {sigmas:.0} σ from an even print. It is allowed for; a printer whose feed does not slip, or a board made by \
-         photography or engraving, gives a better lens"
+         {sigmas:.0} σ from an even print. It is allowed for, unless pictures were flipped or turned by 180°: these \
+         look alike. A printer whose feed does not slip, or a board made by photography or engraving, gives a better \
+         lens"
     )]
     Uneven {
         /// Largest distance of a corner from its even place.

@@ -16,6 +16,8 @@ pub mod diagnostics;
 pub mod models;
 #[cfg(test)]
 mod real_boards;
+pub mod turn;
+mod turned;
 mod two_lenses;
 
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
@@ -30,7 +32,8 @@ use models::Model;
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2};
 use opencv::calib3d;
 use opencv::core::{Mat, MatTraitConst, Point2f, Point3f, Size, TermCriteria, TermCriteria_Type, Vector};
-use two_lenses::{TwoLenses, two_lenses};
+use turned::turned;
+use two_lenses::{TwoLenses, before_and_after, in_any_order};
 
 /// Fewest pictures: three boards at different tilts determine a lens without distortion; with it, five are the minimum.
 const FEWEST_PICTURES: usize = 5;
@@ -214,8 +217,13 @@ pub fn calibrate_camera(
         let solved = uneven.unwrap_or_else(|_| even.clone());
         let of_pictures = by_picture(&solved, &used);
         let Some((worst, off)) = worst_picture(&of_pictures) else {
+            let two = two_lenses(board, &solved, &even, &corners, first.size_px);
+            // An uneven print makes up for two lenses: where there are two, it is not known.
+            let (solved, of_pictures) = match two {
+                Some(_) => (even.clone(), by_picture(&even, &used)),
+                None => (solved, of_pictures),
+            };
             let mut done = conclude(&solved, of_pictures, left_out, first.size_px)?;
-            let two = two_lenses(&solved, &even, &corners);
             if let Some(two) = &two {
                 widen(&mut done, two);
             }
@@ -245,6 +253,19 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
     (used, left_out)
 }
 
+/// Groups of pictures with different lenses, those for which there is most evidence.
+fn two_lenses(
+    board: &Board,
+    solved: &Solution,
+    even: &Solution,
+    corners: &[Corner],
+    size_px: [u32; 2],
+) -> Option<TwoLenses> {
+    let found = [turned(board, solved, even, corners, size_px), in_any_order(solved, even, corners)];
+    let most = found.into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, two)| two);
+    most.or_else(|| before_and_after(even, corners))
+}
+
 /// Where pictures have two lenses, the one found is neither: its error is about its distance from them.
 fn widen(done: &mut CameraCalibration, two: &TwoLenses) {
     let values = |lens: Lens| {
@@ -269,10 +290,10 @@ fn diagnose(
     let places = board.centred_points();
     let mut all = Vec::new();
     match two {
-        Some(TwoLenses { groups, lenses: [a, b] }) => {
+        Some(TwoLenses { groups, lenses: [a, b], turn }) => {
             let smaller = usize::from(groups[1].len() < groups[0].len());
             let names = groups[smaller].iter().filter_map(|i| solved.names.get(*i).cloned()).collect();
-            all.push(CameraDiagnostic::TwoLenses { names, lenses: if smaller == 0 { [a, b] } else { [b, a] } });
+            all.push(CameraDiagnostic::TwoLenses { names, lenses: if smaller == 0 { [a, b] } else { [b, a] }, turn });
         }
         // With two lenses no model is right.
         None => {

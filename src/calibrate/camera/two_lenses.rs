@@ -21,6 +21,7 @@
 //! OpenCV's twelve pictures of one camera, half of them enlarged, in any order, is detected at 5 %, at 3 % hardly. For
 //! its pair of cameras, with centres 15 px apart, a half-and-half mixture is detected.
 
+use super::turn::Turn;
 use crate::calibrate::bundle::clusters::Part;
 use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
@@ -39,14 +40,14 @@ const MAX_STARTS: usize = 3;
 /// part by which the sum of squares of one lens exceeds that of two. Pictures of one camera, split in the worst way,
 /// reach 2.8 (four sets of photographs: 15.8 · 0.14, 13.5 · 0.21, 9.7 · 0.22, 3.7 · 0.43); with half of them enlarged
 /// by 5 % it is 4.8 and more.
-const MIN_EVIDENCE: f64 = 3.75;
+pub(super) const MIN_EVIDENCE: f64 = 3.75;
 /// Parts of the pictures after which focus or zoom may have been moved.
 const MOMENTS: [f64; 3] = [1.0 / 3.0, 0.5, 2.0 / 3.0];
 /// χ² of the difference of focal lengths and principal points before and after. Pictures of one camera reach 11, four
 /// sets of photographs, and simulated ones 16.
 const MOVED_CHI2: f64 = 25.0;
 /// Residuals are capped at this many σ.
-const OUTLIER: f64 = 4.0;
+pub(super) const OUTLIER: f64 = 4.0;
 
 /// Two groups of pictures, and the lens of each.
 #[derive(Debug, Clone, PartialEq)]
@@ -55,15 +56,12 @@ pub(crate) struct TwoLenses {
     pub(crate) groups: [Vec<usize>; 2],
     /// Their lenses.
     pub(crate) lenses: [Lens; 2],
-}
-
-/// Searches for two groups; `even` is the solution with an even print.
-pub(crate) fn two_lenses(solved: &Solution, even: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
-    in_any_order(solved, even, corners).or_else(|| before_and_after(even, corners))
+    /// How the pictures of the second group differ from the first, if they are those of one lens.
+    pub(crate) turn: Option<Turn>,
 }
 
 /// Pictures before and after a moment at which focus or zoom were moved, or the part of the sensor that is read.
-fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
+pub(super) fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
     // Clusters in the order of their first pictures.
     let mut order: Vec<usize> = Vec::with_capacity(solved.parts.len());
     for cluster in &solved.clusters {
@@ -82,7 +80,7 @@ fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> 
         let (groups, solutions) = solved_apart(solved, &shape, corners, &first)?;
         let chi2 = off_chi2(&solutions)?;
         let lenses = solutions.map(|solution| solution.geometry.lens);
-        (chi2 > MOVED_CHI2).then_some((chi2, TwoLenses { groups, lenses }))
+        (chi2 > MOVED_CHI2).then_some((chi2, TwoLenses { groups, lenses, turn: None }))
     };
     let found = MOMENTS.into_iter().filter_map(at);
     found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found)
@@ -98,7 +96,8 @@ fn off_chi2([a, b]: &[Solution; 2]) -> Option<f64> {
     chi_square(&off, together)
 }
 
-fn in_any_order(solved: &Solution, even: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
+/// Pictures in any order, and how much evidence there is for two groups; `even` is the solution with an even print.
+pub(super) fn in_any_order(solved: &Solution, even: &Solution, corners: &[Corner]) -> Option<(f64, TwoLenses)> {
     let all = squares(solved, &solved.shape, &solved.geometry.lens, corners)?.iter().sum::<f64>();
     let starts = starts(&even.parts);
     let parted: Vec<Split> =
@@ -112,8 +111,9 @@ fn in_any_order(solved: &Solution, even: &Solution, corners: &[Corner]) -> Optio
         Parameter::of_lens(&a.geometry.lens).iter().map(|p| a.geometry.value(*p) - b.geometry.value(*p)),
     );
     let apart = chi_square(&off, &a.covariance + &b.covariance)? / off.len() as f64;
-    (apart * (all / best.left - 1.0) > MIN_EVIDENCE)
-        .then_some(TwoLenses { groups, lenses: [a.geometry.lens, b.geometry.lens] })
+    let evidence = apart * (all / best.left - 1.0);
+    let lenses = [a.geometry.lens, b.geometry.lens];
+    (evidence > MIN_EVIDENCE).then_some((evidence, TwoLenses { groups, lenses, turn: None }))
 }
 
 /// Pictures in two groups.
@@ -248,7 +248,7 @@ fn part(solved: &Solution, shape: &Shape, corners: &[Corner], mut first: Vec<boo
 }
 
 /// For each cluster, the sum of squares with a lens, the poses being free.
-fn squares(solved: &Solution, shape: &Shape, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64>> {
+pub(super) fn squares(solved: &Solution, shape: &Shape, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64>> {
     let all: Vec<usize> = (0..solved.poses.len()).collect();
     let mut bundle = of_group(solved, shape, corners, &all);
     bundle.geometry.lens = *lens;

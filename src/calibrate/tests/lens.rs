@@ -4,6 +4,7 @@ use super::{SIZE_PX, board, gaussian, lens};
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::LeftOut;
 use crate::calibrate::camera::diagnostics::CameraDiagnostic;
+use crate::calibrate::camera::turn::Turn;
 use crate::calibrate::camera::{CameraCalibration, CameraError, LensModel, calibrate_camera};
 use crate::calibrate::geometry::{Geometry, Projector};
 use crate::optics::{Lens, OpticalPath};
@@ -256,6 +257,36 @@ fn pictures_shifted_zoomed_or_turned_are_named_and_widen_the_deviations() {
             println!("{what} {every_other}: z RMS {:.2}, {clean} of {RUNS} groups without mistake", squares.sqrt());
             assert!(squares.sqrt() < 1.4, "{what} {every_other}: {}", squares.sqrt());
             assert!(clean >= 4, "{what} {every_other}: {clean} of {RUNS} groups without mistake");
+        }
+    }
+}
+
+/// Two or three of sixteen pictures, or half of them, flipped or turned: they are named, with how, the print is not
+/// taken to be uneven, and σ covers both lenses.
+#[test]
+fn pictures_that_were_flipped_or_turned_are_named() {
+    let order = large().orders().remove(0);
+    for (turn, axes, every) in
+        [(Turn::LeftRight, &[0][..], 8), (Turn::TopBottom, &[1][..], 2), (Turn::Half, &[0, 1][..], 6)]
+    {
+        for seed in 0..3 {
+            let mut pictures = air_of(large().centred_points(), &many_tilts(seed), 0.03, 70 + seed);
+            let changed: Vec<_> = pictures.iter_mut().skip(1).step_by(every).collect();
+            let expected: Vec<String> = changed.iter().map(|picture| picture.name.clone()).collect();
+            for (i, pixel) in changed.into_iter().flat_map(|picture| &mut picture.image.corners) {
+                axes.iter().for_each(|axis| pixel[*axis] = f64::from(SIZE_PX[*axis]) - 1.0 - pixel[*axis]);
+                // A mirror image is found in another order.
+                *i = if axes.len() == 1 { order[*i] } else { *i };
+            }
+            let found = calibrate_camera(&large(), &pictures, LensModel::Five).unwrap();
+            let Some(CameraDiagnostic::TwoLenses { names, turn: how, .. }) = found.diagnostics.first() else {
+                panic!("{turn} {seed}: {:?}", found.diagnostics)
+            };
+            assert_eq!(*how, Some(turn), "{seed}");
+            assert!(*names == expected || 2 * names.len() == pictures.len(), "{turn} {seed}: {names:?}");
+            assert!(!found.diagnostics.iter().any(|d| matches!(d, CameraDiagnostic::Uneven { .. })), "{turn} {seed}");
+            let z2 = squares_of_errors(&found).0 / 4.0;
+            assert!(z2 < 2.0, "{turn} {seed}: {z2}");
         }
     }
 }
