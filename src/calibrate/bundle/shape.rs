@@ -23,7 +23,7 @@
 //! Source of the idea, with every corner free: Strobl & Hirzinger, "More accurate pinhole camera calibration with
 //! imperfect planar target" (2011), doi:10.1109/ICCVW.2011.6130369.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{DMatrix, Point3, Vector3};
 
 /// Orders along u and v of the terms of the bend.
 const ORDERS: [(usize, usize); BENDS] =
@@ -55,6 +55,9 @@ const EVEN: f64 = 1e-4;
 const SIZE: f64 = 1e-7;
 /// Places along each side at which the slope of a bent board is averaged.
 const SLOPES: usize = 7;
+
+/// A stretched print is reported if it is this many σ from square and at least by this part.
+const STRETCH_REPORTED: (f64, f64) = (4.0, 5e-4);
 
 /// A board's shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -103,6 +106,12 @@ impl Shape {
     /// By which part the print is longer along x than along y.
     pub fn stretch(&self) -> f64 {
         self.parameters[PRINT]
+    }
+
+    /// The stretch and its σ, if it is clear enough to be reported; `covariance`: of all parameters.
+    pub(crate) fn stretched(&self, covariance: &DMatrix<f64>) -> Option<(f64, f64)> {
+        let (stretch, sd) = (self.stretch(), covariance[(PRINT, PRINT)].sqrt());
+        (stretch.abs() > STRETCH_REPORTED.0 * sd && stretch.abs() > STRETCH_REPORTED.1).then_some((stretch, sd))
     }
 
     /// The print: stretch, skew, and the uneven terms along x and along y, metres: how far each shifts the corners at

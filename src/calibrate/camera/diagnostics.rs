@@ -35,8 +35,6 @@ fn why_two_lenses(turn: Option<Turn>) -> String {
 
 /// Least extent of the boards, as a fraction of the distance from the principal point to the corners of the picture.
 const MIN_REACH: f64 = 0.6;
-/// A stretched print is reported if it is this many σ from square and at least by this part.
-const STRETCH_REPORTED: (f64, f64) = (4.0, 5e-4);
 /// An uneven print is reported if it is this many σ from even and shifts a corner by at least this fraction of the
 /// board's half width.
 const UNEVEN_REPORTED: (f64, f64) = (4.0, 2e-4);
@@ -191,8 +189,7 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     if off > ASPECT_REPORTED.0 * sd && off > ASPECT_REPORTED.1 {
         all.push(CameraDiagnostic::Aspect { ratio, sd });
     }
-    let (stretch, sd) = (done.shape.stretch(), done.stretch_sd());
-    if stretch.abs() > STRETCH_REPORTED.0 * sd && stretch.abs() > STRETCH_REPORTED.1 {
+    if let Some((stretch, sd)) = done.shape.stretched(&done.shape_covariance) {
         all.push(CameraDiagnostic::Stretched { percent: 100.0 * stretch, sd_percent: 100.0 * sd });
     }
     let (shifted_m, half_m) = (done.shape.unevenness_m(places), done.shape.half_m());

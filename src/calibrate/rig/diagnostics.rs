@@ -47,8 +47,8 @@ pub enum Diagnostic {
     },
     /// Wrong lengths.
     #[error(
-        "lengths of {nominal_mm:.0} mm on held-out boards are off {times:.1} times as much as noise explains: is a \
-         board bent, or its print stretched along one side? Was it moved during the exposure, or camera, mirror or \
+        "lengths of {nominal_mm:.0} mm on held-out boards are off {times:.1} times as much as noise explains: is the \
+         board bent anew in each picture, or its print uneven? Was it moved during the exposure, or camera, mirror or \
          tank between two pictures?"
     )]
     Lengths {
@@ -56,6 +56,18 @@ pub enum Diagnostic {
         nominal_mm: f64,
         /// RMS error, relative to noise.
         times: f64,
+    },
+    /// A print whose squares are not square.
+    #[error(
+        "the print is stretched: along its rows it is longer by {percent:.2} ± {sd_percent:.2} % than along its \
+         columns. It is allowed for, with the mean of both sides as stated: measure the grid along both sides. Was it \
+         so in the calibration of the lens?"
+    )]
+    Stretched {
+        /// Longer along rows by so many per cent; negative if along columns.
+        percent: f64,
+        /// Its σ.
+        sd_percent: f64,
     },
     /// A prior that is far from what the pictures give.
     #[error(
@@ -95,6 +107,9 @@ pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> 
     ];
     for off in lengths.into_iter().flatten().filter(LengthErrors::beyond_noise) {
         doubts.push(Diagnostic::Lengths { nominal_mm: off.nominal_m * 1e3, times: off.rms_m / off.noise_m });
+    }
+    if let Some((stretch, sd)) = done.solution.shape.stretched(&done.solution.shape_covariance) {
+        doubts.push(Diagnostic::Stretched { percent: 100.0 * stretch, sd_percent: 100.0 * sd });
     }
     for known in &done.solution.known {
         if let Some(off) = contradiction(&done.solution, known).filter(|off| *off > CONTRADICTION_SD) {
