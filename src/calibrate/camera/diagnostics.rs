@@ -42,6 +42,10 @@ const UNEVEN_REPORTED: (f64, f64) = (4.0, 2e-4);
 const BEND_REPORTED: (f64, f64) = (4.0, 1e-3);
 /// Pixels that are not square are reported if fx/fy is this many σ from 1 and differs from it by at least this.
 const ASPECT_REPORTED: (f64, f64) = (4.0, 1e-3);
+/// So many σ are enough if the pictures do not tell them from a stretched print: most cameras have square pixels.
+const ASPECT_DOUBTED: f64 = 2.5;
+/// Pictures that leave the stretch of the print more uncertain than this do not tell it from that of the pixels.
+const STRETCH_OPEN: f64 = 1e-3;
 
 /// A reason not to accept the lens as it is.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -149,9 +153,10 @@ pub enum CameraDiagnostic {
     /// Pixels that are not square.
     #[error(
         "fx/fy is {ratio:.4} ± {sd:.4}, {:.0} σ from 1, but most cameras have square pixels: does the camera, or what \
-         records it, stretch pictures? If so, the lens is right. A print stretched along one side is allowed for; \
-         boards tilted more, and turned by 90° in some pictures, tell the two apart better. Measure the grid along \
-         both sides of the board",
+         records it, stretch pictures? Then the lens is right. Was the board carried before a rolling shutter? Then it \
+         is wrong: take pictures of a board at rest. A print stretched along one side is allowed for; boards tilted \
+         more, and turned by 90° in some pictures, tell the two apart better. Measure the grid along both sides of the \
+         board",
         (.ratio - 1.0).abs() / .sd
     )]
     Aspect {
@@ -186,7 +191,8 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     }
     let (ratio, sd) = aspect(done);
     let off = (ratio - 1.0).abs();
-    if off > ASPECT_REPORTED.0 * sd && off > ASPECT_REPORTED.1 {
+    let sigmas = if stretch_is_open(done) { ASPECT_DOUBTED } else { ASPECT_REPORTED.0 };
+    if off > sigmas * sd && off > ASPECT_REPORTED.1 {
         all.push(CameraDiagnostic::Aspect { ratio, sd });
     }
     if let Some((stretch, sd)) = done.shape.stretched(&done.shape_covariance) {
@@ -202,6 +208,11 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
         all.push(CameraDiagnostic::Bent { sag_mm: sag_m * 1e3, percent: 50.0 * sag_m / half_m, sigmas });
     }
     all
+}
+
+/// Whether the pictures hardly tell a stretched print from pixels that are not square.
+pub(crate) fn stretch_is_open(done: &CameraCalibration) -> bool {
+    done.stretch_sd() > STRETCH_OPEN
 }
 
 /// fx/fy and its σ.

@@ -5,13 +5,11 @@ use super::pictures::{self, SearchedPicture};
 use super::{can_be_written, left_out, save};
 use crate::calibrate::board::Board;
 use crate::calibrate::board::BoardPicture;
+use crate::calibrate::camera::diagnostics::stretch_is_open;
 use crate::calibrate::camera::{CameraCalibration, CameraError, LensModel, calibrate_camera};
 use crate::rig::{Camera, Draft, lens_note, matrix_note};
 use std::fmt::Write as _;
 use std::path::PathBuf;
-
-/// Pictures that leave the stretch of the print more uncertain than this do not tell it from that of the pixels.
-const STRETCH_OPEN: f64 = 1e-3;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct CameraArgs {
@@ -135,7 +133,7 @@ fn describe(board: &Board, searched: &[SearchedPicture], done: &CameraCalibratio
         100.0 * done.shape.stretch(),
         100.0 * sd
     );
-    if sd > STRETCH_OPEN {
+    if stretch_is_open(done) {
         text += "these pictures hardly tell a stretched print from pixels that are not square, which makes σ of the \
                  focal lengths larger: turn the board by 90° in a third of them\n";
     }
