@@ -14,7 +14,7 @@ use nalgebra::{DMatrix, DVector, Point2, Vector2};
 /// What to do about a lens that needs another model.
 fn advice(model: Model) -> &'static str {
     match model {
-        Model::Brown => "calibrate with --lens 5",
+        Model::Brown => "calibrate with --lens 5; σ does not cover what needless coefficients do",
         Model::Rational => "calibrate with --lens 8, with boards out to the corners",
         Model::Fisheye => "a rig has no fisheye model; stay within the boards' part of the picture",
     }
@@ -67,10 +67,11 @@ pub enum CameraDiagnostic {
         /// How one group is turned, if that is the difference.
         turn: Option<Turn>,
     },
-    /// Another lens model is better.
+    /// Another lens model is better, or as good with fewer parameters.
     #[error(
-        "{model} would show pictures better that the lens was not found from: their corners are {other_px:.3} px off, \
-         with {own} of this file {own_px:.3} px: {}", advice(*.model)
+        "{model} would show pictures {} that the lens was not found from: their corners are {other_px:.3} px off, \
+         with {own} of this file {own_px:.3} px: {}",
+        if .other_px < .own_px { "better" } else { "just as well" }, advice(*.model)
     )]
     Model {
         /// Which.

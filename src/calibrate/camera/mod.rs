@@ -164,6 +164,12 @@ pub enum CameraError {
         /// Value.
         focal_px: f64,
     },
+    /// Eight coefficients of distortion are too many.
+    #[error(
+        "the pictures determine five coefficients of distortion, but not eight ({0}): calibrate with --lens 5; a wide \
+         angle needs boards out to the corners"
+    )]
+    Eight(NoSolution),
     /// OpenCV failed.
     #[error("no initial estimate of the lens: {0}")]
     Start(#[from] opencv::Error),
@@ -207,7 +213,13 @@ pub fn calibrate_camera(
         if used.len() < FEWEST_PICTURES {
             return Err(CameraError::TooFew { found: used.len(), left_out });
         }
-        let (even, corners) = adjust(board, &used, first.size_px, model)?;
+        let adjusted = |model| adjust(board, &used, first.size_px, model);
+        let (even, corners) = adjusted(model).map_err(|why| match why {
+            CameraError::Solve(why) if model == LensModel::Eight && adjusted(LensModel::Five).is_ok() => {
+                CameraError::Eight(why)
+            }
+            why => why,
+        })?;
         if even.parts.len() < FEWEST_PICTURES {
             return Err(CameraError::Alike { used: used.len(), found: even.parts.len() });
         }

@@ -16,7 +16,8 @@ const FOLDS: usize = 5;
 /// Most steps of a lens's search.
 const MAX_STEPS: i32 = 100;
 const MIN_STEP: f64 = 1e-9;
-/// Another model is better when its residual is below this fraction, and smaller for at least half of the pictures.
+/// Another model is better when its residual is below this fraction, and smaller for at least half of the pictures; one
+/// with fewer parameters when that of `own` is not below this fraction of its own.
 const BETTER_BELOW: f64 = 0.93;
 
 /// A lens model.
@@ -40,7 +41,7 @@ impl std::fmt::Display for Model {
     }
 }
 
-/// The model that fits held-out pictures clearly better than `own`: RMS of a coordinate with `own` and with it, pixels.
+/// The model that fits held-out pictures clearly better than `own`, or with fewer parameters hardly worse: RMS of a coordinate with `own` and with it, pixels.
 /// `clusters`: for each picture, the number of its cluster.
 pub(crate) fn better(
     places: &[Point3<f64>],
@@ -55,12 +56,15 @@ pub(crate) fn better(
         models.par_iter().map(|model| held_out(places, used, clusters, size_px, *model).ok()).collect();
     let [Some(by_own), others @ ..] = found.as_slice() else { return None };
     let rms = |each: &[f64]| (each.iter().map(|e| e * e).sum::<f64>() / each.len().max(1) as f64).sqrt();
-    let clearly = |each: &&Vec<f64>| {
+    let clearly = |model: Model, each: &[f64]| {
+        if model == Model::Brown && own == Model::Rational {
+            return rms(by_own) > BETTER_BELOW * rms(each);
+        }
         let closer = each.iter().zip(by_own).filter(|(other, own)| other < own).count();
         rms(each) < BETTER_BELOW * rms(by_own) && 2 * closer >= by_own.len()
     };
     let others = models.into_iter().skip(1).zip(others).filter_map(|(model, each)| Some((model, each.as_ref()?)));
-    let better = others.filter(|(_, each)| clearly(each)).min_by(|a, b| rms(a.1).total_cmp(&rms(b.1)))?;
+    let better = others.filter(|(model, each)| clearly(*model, each)).min_by(|a, b| rms(a.1).total_cmp(&rms(b.1)))?;
     Some((better.0, rms(by_own), rms(better.1)))
 }
 
