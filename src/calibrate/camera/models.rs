@@ -42,8 +42,7 @@ impl std::fmt::Display for Model {
 }
 
 /// The model that fits held-out pictures clearly better than `own`, or with fewer parameters hardly worse: RMS of a
-/// coordinate with `own` and with it, pixels.
-/// `clusters`: for each picture, the number of its cluster.
+/// coordinate with `own` and with it, pixels. `clusters`: for each picture, the number of its cluster.
 pub(crate) fn better(
     places: &[Point3<f64>],
     used: &[&BoardPicture],

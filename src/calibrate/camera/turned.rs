@@ -10,7 +10,8 @@
 //!
 //! For each [`Turn`], the search starts with a principal point beside the middle and an even print. Each cluster of
 //! pictures (`bundle/clusters.rs`) is taken as it is or turned back, as suits the lens, then the lens is found anew
-//! from all of them, until none changes. The evidence is that of `two_lenses`: both solutions may have an uneven print.
+//! from all of them, until none changes. The evidence is that of `two_lenses`: both solutions may have an uneven
+//! print.
 //!
 //! Cannot tell: which of the groups is as the camera took it; a lens whose principal point is within a few pixels of the
 //! picture's middle, which may be flipped at will; reliably, flipped pictures of a print that is uneven as well.

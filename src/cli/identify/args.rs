@@ -93,7 +93,7 @@ pub(crate) struct Args {
     /// Column of the output
     #[arg(long, value_name = "COLUMN", requires = "input")]
     pub(super) output: Option<String>,
-    /// Column of the time in seconds, or in the unit its name ends in, such as t_ms or stamp_ns
+    /// Column of the time in seconds (or as its name says: t_ms, stamp_ns)
     #[arg(long, value_name = "COLUMN", requires = "output")]
     pub(super) time: Option<String>,
     /// Seconds from row to row; with --resample, from sample to sample
