@@ -13,8 +13,8 @@
 //! from all of them, until none changes. The evidence is that of `two_lenses`: both solutions may have an uneven
 //! print.
 //!
-//! Cannot tell: which of the groups is as the camera took it; a lens whose principal point is within a few pixels of the
-//! picture's middle, which may be flipped at will; reliably, flipped pictures of a print that is uneven as well.
+//! Cannot tell: which of the groups is as the camera took it; a lens whose principal point is within a few pixels of
+//! the picture's middle, which may be flipped at will; reliably, flipped pictures of a print that is uneven as well.
 
 use super::turn::{Pictures, Turn};
 use super::two_lenses::{MIN_EVIDENCE, OUTLIER, TwoLenses, squares};

@@ -18,8 +18,8 @@ const SLOW_OUTPUT: &str = "it seems to be measured more slowly than the table ha
 /// Fewest values that are the one before, and their part, that are told.
 const REPEATED: (usize, f64) = (5, 2e-3);
 
-/// Rows for which an input may keep each value, and the part of its steps that must come after so many, or twice, …; of
-/// the others the part that must come a row too soon, and their number.
+/// Rows for which an input may keep each value, and the part of its steps that must come after so many, or twice, …;
+/// of the others the part that must come a row too soon, and their number.
 const HELD_ROWS: std::ops::RangeInclusive<usize> = 3..=100;
 const MOST_HOLDS: f64 = 0.6;
 const TOO_SOON: f64 = 0.7;

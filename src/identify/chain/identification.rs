@@ -96,8 +96,8 @@ impl Identification {
     }
 
     /// Whether a diagnostic is worth interrupting for. That the full model's orders are the last of the search, its
-    /// residuals not white, or its simulation far off, comes with many good records, and says nothing of a refined model
-    /// that leaves noise only.
+    /// residuals not white, or its simulation far off, comes with many good records, and says nothing of a refined
+    /// model that leaves noise only.
     pub fn matters(&self, diagnostic: &Diagnostic) -> bool {
         let of_full = match diagnostic {
             Diagnostic::AtEdge { what, .. } => *what != "nk",

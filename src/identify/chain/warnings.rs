@@ -194,7 +194,8 @@ fn of_periods(data: &Data, done: &Identification) -> Vec<Diagnostic> {
         }
     }
     if found.left > 1.0 + SIGNIFICANT_SD * found.left_sd {
-        diagnostics.push(Diagnostic::BeyondNoise { left: found.left, has_sigma: found.explains_lines() });
+        let has_sigma = done.model(Role::Periodic).is_some_and(|model| model.covariance.is_some());
+        diagnostics.push(Diagnostic::BeyondNoise { left: found.left, has_sigma });
     }
     let fewest = found.records.iter().map(|r| r.periods).min().unwrap_or(0);
     if fewest < ENOUGH_PERIODS {

@@ -121,7 +121,7 @@ pub(in crate::identify) fn colour(segments: &[Segment], model: &Polynomials) -> 
     residuals(segments, model).map(|residuals| Colour::of(&residuals))
 }
 
-pub(super) fn residuals(segments: &[Segment], model: &Polynomials) -> Option<Vec<Vec<f64>>> {
+fn residuals(segments: &[Segment], model: &Polynomials) -> Option<Vec<Vec<f64>>> {
     let rows = linearised(segments, model, Derivatives::None);
     let residuals: Vec<Vec<f64>> =
         segments.iter().zip(rows).map(|(segment, rows)| derivatives_and_residual(segment, rows).1).collect();

@@ -95,7 +95,7 @@ mod tests {
         let real = Polynomials { a: vec![1.0, -0.9], b: vec![0.1], nk: 1 };
         assert_eq!(found(&real, |_, y| y), None);
         assert_eq!(found(&real, |_, y| 1.3 * y), None);
-        // It simulates 400 times too much, of which the best factor leaves nothing.
+        // The model simulates 300 times too much, of which the best factor leaves nothing.
         assert_eq!(found(&Polynomials { b: vec![3e-4], ..real.clone() }, |t, y| y + (0.9 * t as f64).sin()), None);
         assert_eq!(found(&real, |t, y| if t < 700 { y } else { y + 0.3 }), None);
         assert_eq!(found(&Polynomials { nk: 3, ..real.clone() }, |_, y| y), None);

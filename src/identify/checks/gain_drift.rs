@@ -1,17 +1,16 @@
 //! A gain that drifts in the course of a record: a coil or an amplifier that warms up.
 //!
-//! The model has the mean gain, and σ says nothing of the drift. Method: a factor that grows with time is tested for in
-//! what the model leaves of its simulation (a score test, as in follows_input.rs), after what a model of higher order
-//! has besides: where the frequency of the input changes with time, an error of the response would look like it.
+//! The model has the mean gain, and σ says nothing of the drift. Method: a factor that grows with time is tested for
+//! in what the model leaves of its simulation (a score test, as in follows_input.rs), after what a model of higher
+//! order has besides: where the frequency of the input changes with time, an error of the response would look like it.
 //!
 //! Cannot tell: of Eq. 6, whose input has the output's noise in it.
 
-use super::follows_input::{FURTHER, of_higher_order, residuals};
+use super::follows_input::{FURTHER, colour, of_higher_order};
 use super::whitened_simulation::Whitened;
 use crate::identify::data::segments::{Record, Segment};
-use crate::identify::estimate::noise_colour::Colour;
 use crate::identify::model::polynomials::Polynomials;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use std::fmt;
 
 /// What noise explains in all but one of 10⁵ records, of one degree of freedom.
@@ -33,8 +32,8 @@ impl fmt::Display for GainDrift {
         let Self { change, sigmas } = self;
         write!(
             f,
-            "the gain {} by {:.1} % in the course of the record ({sigmas:.0} σ): does a coil or the amplifier warm up? \
-             The model has the mean; identify parts of it (--train) to see how it changes",
+            "the gain {} by {:.1} % in the course of the record ({sigmas:.0} σ): does a coil or the amplifier warm \
+             up? The model has the mean; identify parts of it (--train) to see how it changes",
             if *change < 0.0 { "falls" } else { "grows" },
             100.0 * change.abs()
         )
@@ -46,15 +45,15 @@ pub(super) fn gain_drift(model: &Polynomials, record: &Record) -> Option<GainDri
     if record.segments.iter().any(|segment| segment.instrument.is_some()) {
         return None;
     }
-    let colour = Colour::of(&residuals(&record.segments, model)?);
+    let colour = colour(&record.segments, model)?;
     let span = record.span().max(1) as f64;
     let columns = |segment: &Segment| {
         let modelled = model.simulate(&segment.input);
         // From −½ to ½.
         let time = |t: usize| (segment.first + t) as f64 / span - 0.5;
-        let drifting = modelled.iter().enumerate().map(|(t, y)| time(t) * y);
+        let drifting = modelled.iter().enumerate().map(|(t, y)| time(t) * y).take(segment.len());
         let mut columns = of_higher_order(segment, model, 0).insert_column(FURTHER, 0.0);
-        columns.column_mut(FURTHER).iter_mut().zip(drifting).for_each(|(place, value)| *place = value);
+        columns.set_column(FURTHER, &DVector::from_iterator(segment.len(), drifting));
         columns
     };
     let further: Vec<DMatrix<f64>> = record.segments.iter().map(columns).collect();

@@ -135,7 +135,8 @@ impl fmt::Display for Nonlinear {
             Element::Drag(part) => write!(
                 f,
                 "where the motion is fastest {:.1} % of the {of}'s range is lost to a drag that grows with the square \
-                 of the speed ({sigmas:.0} σ), as a fluid's: the damping of a linear model is another for each amplitude",
+                 of the speed ({sigmas:.0} σ), as a fluid's: the damping of a linear model is another for each \
+                 amplitude",
                 100.0 * part
             ),
         }

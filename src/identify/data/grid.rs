@@ -1,8 +1,8 @@
 //! Fits frame times to an even grid, and cuts a record where samples are missing.
 //!
 //! In: times as the camera gave them, outputs, some missing. Out: segments of known input. Times are never moved: a
-//! sample that comes up to a quarter of a period early or late counts as the grid's, since the input was integrated up
-//! to its real time ([`hold`](super::hold)). Uneven times are refused, or resampled on request.
+//! sample that comes up to a third of a period early or late counts as the grid's, since the input was integrated up to
+//! its real time ([`hold`](super::hold)). Uneven times are refused, or resampled on request.
 
 use crate::identify::data::plant::Plant;
 use crate::identify::data::segments::{Record, Segment};
