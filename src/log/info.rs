@@ -1,10 +1,11 @@
 //! What is in a log: frames, gaps, clocks, what is missing and why.
 
 use super::LogError;
+use super::condition::Condition;
 use super::decoder::MessageDecoder;
 use super::fields::{list, number, text, whole, word};
 use super::is_being_written;
-use super::records::{self, Condition};
+use super::records;
 use super::schema::Topic;
 use mcap::records::Record;
 use prost_reflect::DynamicMessage;

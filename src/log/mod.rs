@@ -3,9 +3,11 @@
 //! Logs are read record by record, whatever their size. Messages are decoded with the schemas stored in the log, fields
 //! by name: logs of other versions can be read as far as their names agree.
 
+mod condition;
 pub(crate) mod decoder;
 mod error;
 pub(crate) mod fields;
+mod heads;
 mod info;
 pub(crate) mod records;
 mod repair;
@@ -16,9 +18,9 @@ pub(crate) mod typed;
 use std::io::Read as _;
 use std::path::Path;
 
+pub use condition::{Condition, Damage};
 pub use error::LogError;
 pub use info::{Info, TopicInfo};
-pub use records::{Condition, Damage};
 pub use repair::{Repaired, repair};
 
 /// Whether the file at `path` begins as logs do. Pipes and devices are not opened: they may wait, and what is read of

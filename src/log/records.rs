@@ -1,11 +1,13 @@
 //! The records of a log, one after another, with chunks opened; damaged parts are left out and listed ([`Condition`]).
 //!
 //! In: a log, whole, cut off or damaged, its chunks plain or compressed (lz4, zstd). Out: every record whose checksum
-//! holds. A chunk with a wrong checksum is left out entirely. Where lengths are invalid the file is searched for the
-//! next chunk. What this cannot detect: damage in a chunk that was written without a checksum, if it leaves valid
-//! records.
+//! holds. A chunk with a wrong checksum is left out entirely. Where heads are invalid (`heads.rs`) the file is searched
+//! for the next chunk. What this cannot detect: damage in a chunk that was written without a checksum, if it leaves valid
+//! records and the log has no checksum of its data.
 
 use super::LogError;
+use super::condition::{Condition, Damage};
+use super::heads::{self, HEAD, Head, LARGEST_CHUNK, TELLING, is_chunk, is_plausible};
 use crate::catch_panic::catch_panic;
 use mcap::McapError;
 use mcap::records::{Record, op};
@@ -13,14 +15,9 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use std::collections::{BTreeSet, VecDeque};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Our records are much shorter: a greater length is damage.
-const LONGEST_RECORD: u64 = 1 << 30;
-/// The same for the content of a compressed chunk.
-const LARGEST_CHUNK: u64 = 1 << 28;
-/// Code and length before every record.
-const HEAD: u64 = 9;
 /// Most damaged places listed; further ones are counted.
 const MAX_LISTED: usize = 100;
 /// Metadata record that a repair adds, and its key for what was lost.
@@ -28,63 +25,6 @@ pub(super) const REPAIR: &str = "catoptra.repair";
 pub(super) const LOST: &str = "lost";
 /// Reason given for a log without an index.
 const NO_INDEX: &str = "it ends without an index";
-
-/// How much of a log can be trusted.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Condition {
-    /// Why it ends early, if it does.
-    pub cut: Option<String>,
-    /// Damaged places, in file order; at most 100.
-    pub damage: Vec<Damage>,
-    /// How many more there are.
-    pub more_damage: u64,
-    /// What was lost before it was repaired, if it was: once for each time.
-    pub repaired: Vec<String>,
-}
-
-/// A damaged place, which is left out.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Damage {
-    /// Where it is, bytes from the beginning of the file.
-    pub at: u64,
-    /// What is wrong.
-    pub what: String,
-    /// Log times of the last message before it and of the first after it, nanoseconds.
-    pub between_ns: (Option<u64>, Option<u64>),
-    /// Whether messages may be lost: an index, for example, has none.
-    pub loses_messages: bool,
-}
-
-impl Condition {
-    /// Whether nothing is wrong with the file. A repaired one may lack messages all the same.
-    pub fn is_whole(&self) -> bool {
-        self.cut.is_none() && self.damage.is_empty()
-    }
-
-    /// What is wrong, and what it lacks since a repair, in one sentence.
-    pub fn summary(&self) -> Option<String> {
-        let lost = self.repaired.iter().map(|lost| format!("it lacks what was lost before it was repaired ({lost})"));
-        let words: Vec<String> = self.words(|_| true).into_iter().chain(lost).collect();
-        (!words.is_empty()).then(|| words.join("; "))
-    }
-
-    /// Why messages may be lost.
-    pub(super) fn lost(&self) -> Option<String> {
-        self.words(|damage| damage.loses_messages)
-    }
-
-    /// Why it ends early, and the damaged places that `count`.
-    fn words(&self, count: impl Fn(&Damage) -> bool) -> Option<String> {
-        let mut damage = self.damage.iter().filter(|damage| count(damage));
-        let first = damage.next().map(|first| (first, damage.count() as u64 + self.more_damage));
-        let damage = first.map(|(first, more)| match more {
-            0 => format!("at byte {} {}", first.at, first.what),
-            more => format!("at byte {} {}, and {more} more damaged places", first.at, first.what),
-        });
-        let words: Vec<String> = damage.into_iter().chain(self.cut.clone()).collect();
-        (!words.is_empty()).then(|| words.join("; "))
-    }
-}
 
 /// The records of one log.
 pub(crate) struct Records {
@@ -105,12 +45,21 @@ pub(crate) struct Records {
     channels: BTreeSet<u16>,
     /// Whether schemas and channels were looked for in the rest of the file.
     searched: bool,
+    /// Messages so far, and how many there are according to the statistics.
+    messages: u64,
+    counted: Option<u64>,
+    /// Whether some had no checksum of their own.
+    unchecked: bool,
+    /// Whether the end of the data was read.
+    data_ended: bool,
     condition: Condition,
 }
 
 /// What was found at the top level of the file.
 enum Found {
     Record(u8, Vec<u8>),
+    /// A chunk, and whether its head is damaged.
+    Chunk(Vec<u8>, bool),
     /// Invalid data; the file is searched from here.
     Nonsense(String),
     End(Option<String>),
@@ -146,6 +95,10 @@ impl Records {
             last_ns: None,
             channels: BTreeSet::new(),
             searched: false,
+            messages: 0,
+            counted: None,
+            unchecked: false,
+            data_ended: false,
             condition: Condition::default(),
         })
     }
@@ -183,11 +136,13 @@ impl Records {
         match &record {
             Some(Record::Message { header, .. }) => {
                 self.last_ns = Some(header.log_time);
+                self.messages += 1;
                 for damage in self.condition.damage.iter_mut().rev().take_while(|damage| damage.between_ns.1.is_none())
                 {
                     damage.between_ns.1 = self.last_ns;
                 }
             }
+            Some(Record::Statistics(statistics)) => self.counted = Some(statistics.message_count),
             Some(Record::Metadata(metadata)) if metadata.name == REPAIR => {
                 self.condition.repaired.extend(metadata.metadata.get(LOST).cloned());
             }
@@ -221,23 +176,35 @@ impl Records {
     fn advance(&mut self) -> io::Result<()> {
         let at = self.at;
         match self.found()? {
-            Found::Record(op::CHUNK, body) => match opened(&body) {
-                Ok(records) => self.opened.extend(records),
-                Err(what) => self.damaged(at, what),
+            Found::Chunk(body, mended) => match opened(&body) {
+                Ok(Opened { records, checked }) => {
+                    self.unchecked |= !checked;
+                    self.opened.extend(records);
+                    if mended {
+                        self.damaged_without_loss(at, "the head of a chunk is damaged; its messages are all there");
+                    }
+                }
+                Err(what) => {
+                    self.damaged(at, what);
+                    self.go_on_within(at)?;
+                }
             },
             Found::Record(op::DATA_END, body) => self.check_data(at, &body),
-            Found::Record(op::FOOTER, body) => {
-                self.check_summary(at, &body)?;
-                self.check_end()?;
-                self.ended = true;
-            }
+            Found::Record(op::FOOTER, body) => self.finish(at, &body)?,
             Found::Record(code, body) => match parsed(code, &body) {
-                Some(_) => self.opened.push_back((code, body)),
-                None => self.damaged(at, "a record cannot be understood, or its checksum differs".to_owned()),
+                Some(record) if is_whole_attachment(&record, body.len()) || !self.go_on_within(at)? => {
+                    self.unchecked |= code == op::MESSAGE;
+                    self.opened.push_back((code, body));
+                }
+                Some(_) => self.damaged(at, "the length of a record is damaged".to_owned()),
+                None => {
+                    self.damaged(at, "a record cannot be understood, or its checksum differs".to_owned());
+                    self.go_on_within(at)?;
+                }
             },
             Found::Nonsense(what) => {
                 let cut = self.length - at < HEAD || what == NO_INDEX;
-                match self.search(at + 1)? {
+                match self.search(at + 1..self.length, is_plausible)? {
                     Some(next) => {
                         self.damaged(at, format!("{} bytes are no records", next - at));
                         self.at = next;
@@ -259,37 +226,43 @@ impl Records {
         Ok(())
     }
 
+    /// If the record at `at` that was just read has swallowed a chunk, goes on there.
+    fn go_on_within(&mut self, at: u64) -> io::Result<bool> {
+        let Some(chunk) = self.search(at + 1..self.at, is_chunk)? else { return Ok(false) };
+        self.at = chunk;
+        self.checksum = None;
+        Ok(true)
+    }
+
     /// Reads the record at the current position.
     fn found(&mut self) -> io::Result<Found> {
         let left = self.length.saturating_sub(self.at);
         if left == 0 {
             return Ok(Found::End(Some(NO_INDEX.to_owned())));
         }
-        if left < HEAD {
-            return Ok(Found::Nonsense(NO_INDEX.to_owned()));
-        }
         self.seek_to(self.at)?;
-        let mut head = [0; HEAD as usize];
-        self.file.read_exact(&mut head)?;
-        let [code, length @ ..] = head;
-        let length = u64::from_le_bytes(length);
-        // Codes from 0x80 are private to other programs.
-        if code == 0 || (code > op::DATA_END && code < 0x80) {
-            return Ok(Found::Nonsense(format!("at byte {} there is no record", self.at)));
-        }
-        if length > left - HEAD || length > LONGEST_RECORD {
-            return Ok(Found::Nonsense(NO_INDEX.to_owned()));
-        }
+        let mut telling = Vec::new();
+        (&mut self.file).take(TELLING).read_to_end(&mut telling)?;
+        let (code, length, chunk) = match heads::read(&telling, left) {
+            Head::Record(code, length) => (code, length, None),
+            Head::Chunk { length, mended } => (op::CHUNK, length, Some(mended)),
+            Head::None => return Ok(Found::Nonsense(format!("at byte {} there is no record", self.at))),
+            Head::Unfinished => return Ok(Found::Nonsense(NO_INDEX.to_owned())),
+        };
+        self.seek_to(self.at + HEAD)?;
         let mut body = vec![0; length as usize];
         self.file.read_exact(&mut body)?;
         if code != op::DATA_END
             && let Some(checksum) = &mut self.checksum
         {
-            checksum.update(&head);
+            checksum.update(telling.get(..HEAD as usize).unwrap_or_default());
             checksum.update(&body);
         }
         self.at += HEAD + length;
-        Ok(Found::Record(code, body))
+        Ok(match chunk {
+            Some(mended) => Found::Chunk(body, mended),
+            None => Found::Record(code, body),
+        })
     }
 
     /// The complete records of the unfinished chunk at `at`, whose checksum was not written yet; none if it is not a
@@ -342,23 +315,43 @@ impl Records {
 
     /// Checks the checksum of the data section, which also covers records without their own.
     fn check_data(&mut self, at: u64, body: &[u8]) {
+        self.data_ended = true;
         let saved = body.first_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
         let computed = self.checksum.take().map(crc32fast::Hasher::finalize);
-        if saved != 0 && computed.is_some_and(|computed| computed != saved) && self.condition.damage.is_empty() {
-            let what =
-                "the checksum of the data differs: no message is damaged (an index, metadata or unused bits are)";
+        if saved == 0 || computed.is_none_or(|computed| computed == saved) || !self.condition.damage.is_empty() {
+            return;
+        }
+        if self.unchecked {
+            let what = "the checksum of the data differs, and messages have none of their own: some may be wrong";
+            self.damaged(at, what.to_owned());
+        } else {
+            let what = "the checksum of the data differs: an index, metadata or unused bits are damaged, the messages' \
+                        own checksums are right";
             self.damaged_without_loss(at, what);
         }
     }
 
-    /// Checks the checksum of index and statistics, which no reader here uses.
-    fn check_summary(&mut self, at: u64, body: &[u8]) -> io::Result<()> {
+    /// Checks what the end of a log says of it.
+    fn finish(&mut self, at: u64, footer: &[u8]) -> io::Result<()> {
+        self.ended = true;
+        let sound = self.check_summary(at, footer)?;
+        let is_told = self.condition.damage.iter().any(|damage| damage.loses_messages);
+        if let Some(counted) = self.counted.filter(|counted| sound && !is_told && *counted > self.messages) {
+            self.damaged(at, format!("{counted} messages were written, {} are there", self.messages));
+        } else if !self.data_ended && self.condition.damage.is_empty() {
+            self.damaged_without_loss(at, "the end of the data is not marked");
+        }
+        self.check_end()
+    }
+
+    /// Checks the checksum of index and statistics; returns whether it is right, or none was written.
+    fn check_summary(&mut self, at: u64, body: &[u8]) -> io::Result<bool> {
         let Ok(Record::Footer(footer)) = mcap::parse_record(op::FOOTER, body) else {
             self.damaged_without_loss(at, "the footer cannot be understood");
-            return Ok(());
+            return Ok(false);
         };
         if footer.summary_crc == 0 {
-            return Ok(());
+            return Ok(true);
         }
         let start = if footer.summary_start == 0 { at } else { footer.summary_start };
         // Up to the checksum itself, the last field of the footer.
@@ -375,10 +368,11 @@ impl Records {
                 rest -= part.len() as u64;
             }
         }
-        if start > at || checksum.finalize() != footer.summary_crc {
-            self.damaged_without_loss(at, "the index is damaged; all messages are there");
+        let right = start <= at && checksum.finalize() == footer.summary_crc;
+        if !right {
+            self.damaged_without_loss(at, "the index is damaged, the messages are not");
         }
-        Ok(())
+        Ok(right)
     }
 
     fn check_end(&mut self) -> io::Result<()> {
@@ -386,60 +380,29 @@ impl Records {
         self.seek_to(self.at)?;
         (&mut self.file).take(mcap::MAGIC.len() as u64 + 1).read_to_end(&mut magic)?;
         if magic != mcap::MAGIC {
-            self.damaged_without_loss(self.at, "the file does not end as logs do; all messages are there");
+            self.damaged_without_loss(self.at, "the file does not end as logs do, the messages are not damaged");
         }
         Ok(())
     }
 
-    /// Where the next chunk begins, or the end of the data or of the file.
-    fn search(&mut self, from: u64) -> io::Result<Option<u64>> {
+    /// The first place there that looks `like` what is searched for.
+    fn search(&mut self, places: Range<u64>, like: fn(&[u8], u64) -> bool) -> io::Result<Option<u64>> {
         const BLOCK: u64 = 1 << 16;
-        // Length that is examined at each position.
-        const OVERLAP: u64 = 64;
-        let mut start = from;
-        while start < self.length {
+        let mut start = places.start;
+        while start < places.end {
+            let count = BLOCK.min(places.end - start);
             self.seek_to(start)?;
             let mut block = Vec::new();
-            (&mut self.file).take(BLOCK + OVERLAP).read_to_end(&mut block)?;
-            for (k, at) in (start..start + BLOCK.min(block.len() as u64)).enumerate() {
+            (&mut self.file).take(count + TELLING).read_to_end(&mut block)?;
+            for (k, at) in (start..start + count.min(block.len() as u64)).enumerate() {
                 let rest = block.get(k..).unwrap_or_default();
-                if is_plausible(rest, self.length - at) {
+                if like(rest, self.length - at) {
                     return Ok(Some(at));
                 }
             }
-            start += BLOCK;
+            start += count;
         }
         Ok(None)
-    }
-}
-
-/// Whether bytes look like the beginning of a chunk, the end of the data, or the end of a log, with `left` to the
-/// file's end.
-fn is_plausible(bytes: &[u8], left: u64) -> bool {
-    let number = |at: usize| bytes.get(at..).and_then(<[u8]>::first_chunk).map(|eight| u64::from_le_bytes(*eight));
-    let short = |at: usize| bytes.get(at..).and_then(<[u8]>::first_chunk).map(|four| u32::from_le_bytes(*four));
-    let (Some(code), Some(length)) = (bytes.first(), number(1)) else { return false };
-    match *code {
-        op::CHUNK => {
-            let times = number(9).zip(number(17)).is_some_and(|(first, last)| first <= last);
-            let (Some(size), Some(name)) = (number(25), short(37)) else { return false };
-            let named = match name {
-                0 => true,
-                3 => bytes.get(41..44) == Some(b"lz4"),
-                4 => bytes.get(41..45) == Some(b"zstd"),
-                _ => false,
-            };
-            let head = 8 + 8 + 8 + 4 + 4 + u64::from(name) + 8;
-            let packed = number(41 + name as usize);
-            let fits = packed.is_some_and(|packed| packed.checked_add(head) == Some(length));
-            times && named && fits && size <= LARGEST_CHUNK && length <= left.saturating_sub(HEAD)
-        }
-        op::DATA_END => {
-            let next = bytes.get(HEAD as usize + 4);
-            length == 4 && next.is_some_and(|code| (op::HEADER..=op::DATA_END).contains(code))
-        }
-        op::FOOTER => length == 20 && left == HEAD + 20 + mcap::MAGIC.len() as u64,
-        _ => false,
     }
 }
 
@@ -448,8 +411,23 @@ fn parsed(code: u8, body: &[u8]) -> Option<Record<'_>> {
     catch_panic(|| mcap::parse_record(code, body).ok()).flatten()
 }
 
+/// Whether it is an attachment, whose checksum is right, and of this length. (It may hold anything, a log too.)
+fn is_whole_attachment(record: &Record<'_>, length: usize) -> bool {
+    // Two times, three lengths, and the checksum.
+    const OTHERS: usize = 8 + 8 + 4 + 4 + 8 + 4;
+    matches!(record, Record::Attachment { header, data, .. }
+        if OTHERS + header.name.len() + header.media_type.len() + data.len() == length)
+}
+
+/// A chunk that was opened.
+struct Opened {
+    records: Vec<(u8, Vec<u8>)>,
+    /// Whether it has a checksum.
+    checked: bool,
+}
+
 /// The records of a chunk.
-fn opened(body: &[u8]) -> Result<Vec<(u8, Vec<u8>)>, String> {
+fn opened(body: &[u8]) -> Result<Opened, String> {
     let Some(Record::Chunk { header, .. }) = parsed(op::CHUNK, body) else {
         return Err("a chunk cannot be understood".to_owned());
     };
@@ -459,6 +437,7 @@ fn opened(body: &[u8]) -> Result<Vec<(u8, Vec<u8>)>, String> {
     if !matches!(header.compression.as_str(), "" | "lz4" | "zstd") {
         return Err(format!("a chunk is compressed as `{}`, which is not known", header.compression.escape_debug()));
     }
+    let checked = header.uncompressed_crc != 0;
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
         .with_skip_end_magic(true)
@@ -478,7 +457,7 @@ fn opened(body: &[u8]) -> Result<Vec<(u8, Vec<u8>)>, String> {
                 LinearReadEvent::Record { data, opcode } => records.push((opcode, data.to_vec())),
             }
         }
-        Ok(records)
+        Ok(Opened { records, checked })
     };
     catch_panic(read).unwrap_or_else(|| Err("a chunk cannot be understood".to_owned()))
 }

@@ -3,7 +3,8 @@
 //! Topics of other programs are kept. Damaged parts are left out and listed, also in the new log, which would seem
 //! whole otherwise; chunks are written without compression.
 
-use super::records::{self, Condition, LOST, REPAIR};
+use super::condition::Condition;
+use super::records::{self, LOST, REPAIR};
 use super::{LogError, is_being_written};
 use crate::atomic_file::{NewFile, backup_names};
 use mcap::records::{Channel, Metadata, Record};

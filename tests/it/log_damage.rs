@@ -5,6 +5,7 @@ use catoptra::log::{Info, Repaired, repair};
 use catoptra::series::Recording;
 use catoptra::sink::{CurrentSample, McapSink, Sink};
 use catoptra::tally::Tally;
+use mcap::records::op::{CHUNK, MESSAGE};
 use mcap::{Compression, WriteOptions, Writer};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -77,6 +78,73 @@ fn every_changed_bit_is_noticed_and_none_changes_a_number() {
         }
     }
     assert!(silent.is_empty() && changed.is_empty(), "silent {silent:?}, changed {changed:?}");
+}
+
+/// Code, place and length of the records outside chunks, with their heads.
+fn top_level(bytes: &[u8]) -> Vec<(u8, usize, usize)> {
+    let mut at = mcap::MAGIC.len();
+    let mut all = Vec::new();
+    while at + 9 < bytes.len() {
+        let length = 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        all.push((bytes[at], at, length));
+        at += length;
+    }
+    all
+}
+
+/// A head that is damaged makes another record of one, or a longer one that swallows what follows.
+#[test]
+fn a_changed_bit_in_a_head_costs_its_chunk_at_most_and_what_it_costs_is_told() {
+    let (_folder, path, bytes, whole) = written();
+    let records = top_level(&bytes);
+    let last_chunk = records.iter().rfind(|(code, ..)| *code == CHUNK).unwrap();
+    let mut kinds: Vec<_> = records.iter().filter(|record| record.1 > bytes.len() / 3).chain(&records).collect();
+    kinds.dedup_by_key(|(_, at, _)| *at);
+    let mut seen = std::collections::BTreeSet::new();
+    kinds.retain(|(code, ..)| seen.insert(*code));
+    assert!(kinds.len() > 8, "{kinds:?}");
+    let mut cost = 0;
+    for (code, at, _) in kinds.into_iter().chain([last_chunk]) {
+        for bit in 8 * at..8 * (at + 9) {
+            let mut damaged = bytes.clone();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            std::fs::write(&path, &damaged).unwrap();
+            let context = format!("bit {} of the head of a record {code:#04x} at byte {at}", bit - 8 * at);
+            let (info, read) = (Info::read(&path).unwrap(), Recording::read(&path).unwrap());
+            assert!(!info.condition.is_whole() && is_part_of(&read, &whole), "{context}");
+            let lost = whole.frames.len() - read.frames.len();
+            assert!(lost <= if *code == CHUNK { 40 } else { 0 }, "{context}: {lost} frames lost");
+            if lost > 0 {
+                cost += 1;
+                assert!(info.condition.damage.iter().any(|damage| damage.loses_messages), "{context}: {info:?}");
+                assert!(matches!(repair(&path).unwrap(), Repaired::Mended { .. }), "{context}");
+                assert!(Recording::read(&path).unwrap().cut.is_some(), "{context}");
+                std::fs::remove_file(path.with_extension("mcap.bak")).unwrap();
+            }
+        }
+    }
+    println!("{cost} of the bits cost a chunk");
+}
+
+/// Messages outside chunks have no checksum of their own.
+#[test]
+fn of_messages_without_checksums_none_is_said_to_be_right() {
+    let (folder, _, bytes, _) = written();
+    let plain = folder.path().join("plain.mcap");
+    let options = WriteOptions::new().use_chunks(false).compression(None);
+    let mut writer = Writer::with_options(std::fs::File::create(&plain).unwrap(), options).unwrap();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        writer.write(&message.unwrap()).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    assert!(Info::read(&plain).unwrap().condition.is_whole());
+    let mut damaged = std::fs::read(&plain).unwrap();
+    let (_, at, length) = top_level(&damaged).into_iter().filter(|(code, ..)| *code == MESSAGE).nth(20).unwrap();
+    damaged[at + length - 3] ^= 1;
+    std::fs::write(&plain, damaged).unwrap();
+    let condition = Info::read(&plain).unwrap().condition;
+    assert!(condition.damage.iter().any(|damage| damage.loses_messages), "{condition:?}");
 }
 
 #[test]
@@ -337,7 +405,7 @@ fn a_damaged_window_costs_its_frame_and_no_other() {
                 .unwrap();
             ended_with(&again, 0);
             assert!(stderr(&again).contains("the log is damaged"), "{}", stderr(&again));
-            !stderr(&again).contains("no message is")
+            !stderr(&again).contains("own checksums are right")
         });
         assert!(costs_messages);
         only_some_are_lost(&Table::read(&place.path("again/track.csv")), &whole);
