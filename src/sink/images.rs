@@ -6,10 +6,11 @@
 
 use super::SinkError;
 use super::colour::{ConvertError, ToBgr};
-use super::jpeg::{self, Loss};
+use super::jpeg::{JpegEncoder, Loss};
 use crate::estimate::Estimate;
 use crate::log::schema::Topic;
 use crate::source::Picture;
+use ffmpeg_the_third as av;
 
 /// Camera time between pictures.
 const EVERY_NS: u64 = 1_000_000_000;
@@ -28,11 +29,12 @@ pub(crate) struct ImageTaker {
     last_ns: Option<i64>,
     to_bgr: ToBgr,
     bgr: Vec<u8>,
+    encoder: Option<JpegEncoder>,
 }
 
 impl Default for ImageTaker {
     fn default() -> Self {
-        Self { last_ns: None, to_bgr: ToBgr::quick(), bgr: Vec::new() }
+        Self { last_ns: None, to_bgr: ToBgr::quick(), bgr: Vec::new(), encoder: None }
     }
 }
 
@@ -61,7 +63,12 @@ impl ImageTaker {
             ConvertError::Unsupported(format) => refused(format!("no conversion to RGB from {format:?}")),
             ConvertError::Av(error) => refused(error.to_string()),
         })?;
-        let jpeg = jpeg::encode(&self.bgr, stride, [width, height], Loss::Some).map_err(|e| refused(e.to_string()))?;
+        let failed = |error: av::Error| refused(error.to_string());
+        let encoder = match self.encoder.take().filter(|encoder| encoder.size_px() == [width, height]) {
+            Some(encoder) => encoder,
+            None => JpegEncoder::new([width, height], Loss::Some).map_err(failed)?,
+        };
+        let jpeg = self.encoder.insert(encoder).encode(&self.bgr, stride).map_err(failed)?;
         Ok(Some(LoggedImage { stamp_ns: ns, jpeg }))
     }
 }

@@ -2,7 +2,6 @@
 //!
 //! In: rows of B'G'R'. Out: a file (JFIF), 4:4:4 where lines are drawn, otherwise 4:2:0.
 
-use super::encode::would_block;
 use ffmpeg_the_third as av;
 use multiversion::multiversion;
 
@@ -34,73 +33,89 @@ impl Loss {
     }
 }
 
-/// A file of the picture, rows of B'G'R' with `stride` bytes each.
-///
-/// # Errors
-/// libav's.
-pub(crate) fn encode(bgr: &[u8], stride: usize, size_px: [u32; 2], loss: Loss) -> Result<Vec<u8>, av::Error> {
-    let codec = av::encoder::find(av::codec::Id::MJPEG).ok_or(av::Error::EncoderNotFound)?;
-    let mut settings = av::codec::Context::new_with_codec(codec).encoder().video()?;
-    let [width, height] = size_px;
-    settings.set_width(width);
-    settings.set_height(height);
-    settings.set_format(loss.format());
-    settings.set_color_range(av::color::Range::JPEG);
-    settings.set_time_base(av::Rational(1, 1));
-    settings.set_flags(av::codec::Flags::QSCALE);
-    settings.set_global_quality(loss.scale() * LAMBDA);
-    let mut options = av::Dictionary::new();
-    // The same picture gives the same bytes on any machine.
-    options.set("threads", "1");
-    options.set("flags", "+bitexact");
-    let mut encoder = settings.open_with(options)?;
-    let mut frame = av::frame::Video::new(loss.format(), width, height);
-    if frame.planes() < 3 {
-        return Err(av::Error::BufferTooSmall);
-    }
-    fill(&mut frame, bgr, stride, loss);
-    frame.set_pts(Some(0));
-    frame.set_color_range(av::color::Range::JPEG);
-    set_quality(&mut frame, loss);
-    encoder.send_frame(&frame)?;
-    encoder.send_eof()?;
-    let (mut packet, mut file) = (av::Packet::empty(), Vec::new());
-    loop {
-        match encoder.receive_packet(&mut packet) {
-            Ok(()) => file.extend_from_slice(packet.data().unwrap_or_default()),
-            Err(av::Error::Eof) => return Ok(file),
-            Err(av::Error::Other { errno }) if would_block(errno) => return Ok(file),
-            Err(error) => return Err(error),
-        }
-    }
+/// Compresses pictures of one size. Starting one takes longer than a picture: libav clears memory for the largest file
+/// that there could be.
+pub(crate) struct JpegEncoder {
+    encoder: av::encoder::Video,
+    frame: av::frame::Video,
+    loss: Loss,
+    /// Two rows of the three channels.
+    rows: [[Vec<u8>; 3]; 2],
+    halved: Vec<u8>,
 }
 
-/// The planes of the picture: BT.601 in full range, as JFIF has it.
-fn fill(frame: &mut av::frame::Video, bgr: &[u8], stride: usize, loss: Loss) {
-    let width = frame.width() as usize;
-    let mut put = |channel: usize, j: usize, row: &[u8]| {
-        let at = j * frame.stride(channel);
-        if let Some(to) = frame.data_mut(channel).get_mut(at..at + row.len()) {
-            to.copy_from_slice(row);
+impl JpegEncoder {
+    /// # Errors
+    /// libav's.
+    pub(crate) fn new([width, height]: [u32; 2], loss: Loss) -> Result<Self, av::Error> {
+        let codec = av::encoder::find(av::codec::Id::MJPEG).ok_or(av::Error::EncoderNotFound)?;
+        let mut settings = av::codec::Context::new_with_codec(codec).encoder().video()?;
+        settings.set_width(width);
+        settings.set_height(height);
+        settings.set_format(loss.format());
+        settings.set_color_range(av::color::Range::JPEG);
+        settings.set_time_base(av::Rational(1, 1));
+        settings.set_flags(av::codec::Flags::QSCALE);
+        settings.set_global_quality(loss.scale() * LAMBDA);
+        let mut options = av::Dictionary::new();
+        // The same picture gives the same bytes on any machine, and at once: several threads would hold some back.
+        options.set("threads", "1");
+        options.set("flags", "+bitexact");
+        let encoder = settings.open_with(options)?;
+        let mut frame = av::frame::Video::new(loss.format(), width, height);
+        if frame.planes() < 3 {
+            return Err(av::Error::BufferTooSmall);
         }
-    };
-    let mut rows: [[Vec<u8>; 3]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| vec![0; width]));
-    let mut halved = vec![0; width.div_ceil(2)];
-    for (pair, from) in bgr.chunks(2 * stride).enumerate() {
-        for (k, (from, [y, cb, cr])) in from.chunks(stride).zip(&mut rows).enumerate() {
-            to_ycc(from, y, cb, cr);
-            put(0, 2 * pair + k, y);
-            if loss == Loss::Little {
-                put(1, 2 * pair + k, cb);
-                put(2, 2 * pair + k, cr);
+        frame.set_color_range(av::color::Range::JPEG);
+        set_quality(&mut frame, loss);
+        let rows = std::array::from_fn(|_| std::array::from_fn(|_| vec![0; width as usize]));
+        Ok(Self { encoder, frame, loss, rows, halved: vec![0; width.div_ceil(2) as usize] })
+    }
+
+    /// Width and height of its pictures, pixels.
+    pub(crate) fn size_px(&self) -> [u32; 2] {
+        [self.frame.width(), self.frame.height()]
+    }
+
+    /// A file of the picture, rows of B'G'R' with `stride` bytes each.
+    ///
+    /// # Errors
+    /// libav's.
+    pub(crate) fn encode(&mut self, bgr: &[u8], stride: usize) -> Result<Vec<u8>, av::Error> {
+        self.fill(bgr, stride);
+        let number = self.frame.pts().map_or(0, |last| last + 1);
+        self.frame.set_pts(Some(number));
+        self.encoder.send_frame(&self.frame)?;
+        let mut packet = av::Packet::empty();
+        self.encoder.receive_packet(&mut packet)?;
+        Ok(packet.data().unwrap_or_default().to_vec())
+    }
+
+    /// The planes of the picture: BT.601 in full range, as JFIF has it.
+    fn fill(&mut self, bgr: &[u8], stride: usize) {
+        let Self { frame, loss, rows, halved, .. } = self;
+        let mut put = |channel: usize, j: usize, row: &[u8]| {
+            let at = j * frame.stride(channel);
+            if let Some(to) = frame.data_mut(channel).get_mut(at..at + row.len()) {
+                to.copy_from_slice(row);
             }
-        }
-        if loss == Loss::Some {
-            // Of an odd number of rows the last counts twice.
-            let last = usize::from(from.len() > stride);
-            for channel in [1, 2] {
-                average(&rows[0][channel], &rows[last][channel], &mut halved);
-                put(channel, pair, &halved);
+        };
+        for (pair, from) in bgr.chunks(2 * stride).enumerate() {
+            for (k, (from, [y, cb, cr])) in from.chunks(stride).zip(&mut *rows).enumerate() {
+                to_ycc(from, y, cb, cr);
+                put(0, 2 * pair + k, y);
+                if *loss == Loss::Little {
+                    put(1, 2 * pair + k, cb);
+                    put(2, 2 * pair + k, cr);
+                }
+            }
+            if *loss == Loss::Some {
+                // Of an odd number of rows the last counts twice.
+                let last = usize::from(from.len() > stride);
+                for channel in [1, 2] {
+                    average(&rows[0][channel], &rows[last][channel], halved);
+                    put(channel, pair, halved);
+                }
             }
         }
     }
@@ -151,8 +166,12 @@ mod tests {
                 bgr[y * stride + 3 * x..][..3].copy_from_slice(&pixel);
             }
         }
-        let file = encode(&bgr, stride, [width, height], Loss::Little).unwrap();
-        assert_eq!(file, encode(&bgr, stride, [width, height], Loss::Little).unwrap());
+        let encoder = |loss| JpegEncoder::new([width, height], loss).unwrap();
+        let mut little = encoder(Loss::Little);
+        let file = little.encode(&bgr, stride).unwrap();
+        // Nothing of a picture is left in the next.
+        assert_ne!(little.encode(&vec![128; bgr.len()], stride).unwrap(), file);
+        assert_eq!(little.encode(&bgr, stride).unwrap(), file);
         let read = image::load_from_memory(&file).unwrap().to_rgb8();
         assert_eq!(read.dimensions(), (width, height));
         for (x, expected) in [(5, [128_u8; 3]), (20, [220, 40, 40]), (23, [128; 3]), (60, [128; 3])] {
@@ -165,8 +184,8 @@ mod tests {
                 pixel.copy_from_slice(if x >= 30 && y >= 10 { &[40, 40, 220] } else { &[128; 3] });
             }
         }
-        let coarser = encode(&bgr, stride, [width, height], Loss::Some).unwrap();
-        assert!(coarser.len() < encode(&bgr, stride, [width, height], Loss::Little).unwrap().len());
+        let coarser = encoder(Loss::Some).encode(&bgr, stride).unwrap();
+        assert!(coarser.len() < little.encode(&bgr, stride).unwrap().len());
         let read = image::load_from_memory(&coarser).unwrap().to_rgb8();
         let red = [220_u8, 40, 40];
         for (at, expected) in [([5, 18], [128; 3]), ([40, 5], [128; 3]), ([33, 20], red), ([60, 36], red)] {

@@ -10,77 +10,89 @@ use std::ops::Range;
 /// Remembers the last picture.
 #[derive(Default)]
 pub(crate) struct LastCoded {
+    size_px: [u32; 2],
     levels: Vec<u8>,
-    before: Option<Picture>,
+    /// Of each block, a checksum of what it showed: a picture that another core has decoded is slow to read.
+    shown: Vec<u64>,
 }
 
 impl LastCoded {
     /// The quantisation of a picture of which the stream states this much: blocks that show what they showed in the
     /// picture before keep their levels.
     pub(crate) fn quantisation(&mut self, picture: &Picture, mut stated: Quantisation) -> Quantisation {
-        let before = self.before.replace(picture.clone()).filter(|before| before.size_px() == picture.size_px());
-        let Some(before) = before.filter(|_| self.levels.len() == stated.levels.len()) else {
+        let mut shown = vec![0; stated.levels.len()];
+        for plane in (0..3).filter_map(|i| picture.plane(i)) {
+            add(&plane, &stated, &mut shown);
+        }
+        let before = std::mem::replace(&mut self.shown, shown);
+        let size_before_px = std::mem::replace(&mut self.size_px, picture.size_px());
+        if before.len() != self.shown.len() || size_before_px != self.size_px {
             self.levels.clone_from(&stated.levels);
             return stated;
-        };
-        // A block of the same level need not be compared.
-        let levels = stated.levels.iter().zip(&self.levels);
-        let mut coded: Vec<bool> = levels.map(|(level, before)| level == before).collect();
-        for (now, before) in (0..3).filter_map(|i| picture.plane(i).zip(before.plane(i))) {
-            compare([&now, &before], &stated, &mut coded);
         }
-        for ((level, before), coded) in stated.levels.iter_mut().zip(&mut self.levels).zip(coded) {
-            if coded {
-                *before = *level;
-            } else {
+        let is_kept = self.shown.iter().zip(&before).map(|(now, before)| now == before);
+        for ((level, before), is_kept) in stated.levels.iter_mut().zip(&mut self.levels).zip(is_kept) {
+            if is_kept {
                 *level = *before;
+            } else {
+                *before = *level;
             }
         }
         stated
     }
 }
 
-/// Compares some rows of each block with those of the picture before. Blocks that differ were `coded`.
-fn compare([now, before]: [&Plane<'_>; 2], quantisation: &Quantisation, coded: &mut [bool]) {
-    let [width, height] = now.scale.map(|scale| (quantisation.block_px / scale) as usize);
-    let (block, inner) = (width * now.step, compared(width));
-    let inner = inner.start * now.step..inner.end * now.step;
+/// Adds some rows of each block to its checksum.
+fn add(plane: &Plane<'_>, quantisation: &Quantisation, shown: &mut [u64]) {
+    let [width, height] = plane.scale.map(|scale| (quantisation.block_px / scale) as usize);
+    let (block, inner) = (width * plane.step, added(width));
+    let inner = inner.start * plane.step..inner.end * plane.step;
     let columns = quantisation.columns.max(1) as usize;
-    for (j, coded) in coded.chunks_mut(columns).enumerate() {
-        for y in compared(height).step_by(APART) {
-            let [Some(now), Some(before)] = [now, before].map(|plane| plane.row(j * height + y)) else { continue };
-            // A compiler that knows the lengths compares in half the time.
+    for (j, shown) in shown.chunks_mut(columns).enumerate() {
+        for row in added(height).step_by(APART).filter_map(|y| plane.row(j * height + y)) {
+            // A compiler that knows the lengths needs half the time.
             match (block, &inner) {
-                (16, Range { start: 3, end: 13 }) => compare_row([now, before], 16, 3..13, coded),
-                (8, Range { start: 1, end: 7 }) => compare_row([now, before], 8, 1..7, coded),
-                _ => compare_row([now, before], block, inner.clone(), coded),
+                (16, Range { start: 3, end: 13 }) => add_row(row, 16, 3..13, shown),
+                (8, Range { start: 1, end: 7 }) => add_row(row, 8, 1..7, shown),
+                _ => add_row(row, block, inner.clone(), shown),
             }
         }
     }
 }
 
 #[inline(always)]
-fn compare_row([now, before]: [&[u8]; 2], block: usize, inner: Range<usize>, coded: &mut [bool]) {
-    let (now, before) = (now.chunks_exact(block), before.chunks_exact(block));
+fn add_row(row: &[u8], block: usize, inner: Range<usize>, shown: &mut [u64]) {
+    let blocks = row.chunks_exact(block);
     // The picture may end within a block.
-    let [end, end_before] = [now.remainder(), before.remainder()];
-    let part = inner.start..inner.end.min(end.len());
-    if let Some(coded) = coded.get_mut(now.len()) {
-        *coded |= end.get(part.clone()) != end_before.get(part);
+    let end = blocks.remainder();
+    if let (Some(sum), Some(part)) = (shown.get_mut(blocks.len()), end.get(inner.start..inner.end.min(end.len()))) {
+        *sum = with(*sum, part);
     }
-    for (coded, (now, before)) in coded.iter_mut().zip(now.zip(before)) {
-        *coded |= now.get(inner.clone()) != before.get(inner.clone());
+    for (sum, block) in shown.iter_mut().zip(blocks) {
+        *sum = block.get(inner.clone()).map_or(*sum, |part| with(*sum, part));
     }
 }
 
-/// The samples of a block's side that are compared: smoothing of the blocks' edges changes the others in skipped blocks
+/// A checksum and some bytes more: other bytes give another sum, but for one case in 2⁶⁴.
+#[inline(always)]
+fn with(sum: u64, bytes: &[u8]) -> u64 {
+    // An odd number without a pattern: 2⁶⁴ over the golden ratio.
+    const FACTOR: u64 = 0x9e37_79b9_7f4a_7c15;
+    let (words, rest) = bytes.as_chunks::<8>();
+    let mut last = [0; 8];
+    last[..rest.len()].copy_from_slice(rest);
+    let words = words.iter().chain([&last]).map(|word| u64::from_le_bytes(*word));
+    words.fold(sum, |sum, word| (sum.rotate_left(29) ^ word).wrapping_mul(FACTOR))
+}
+
+/// The samples of a block's side that are looked at: smoothing of the blocks' edges changes the others in skipped blocks
 /// too.
-fn compared(side: usize) -> Range<usize> {
+fn added(side: usize) -> Range<usize> {
     let smoothed = if side >= 16 { 3 } else { 1 };
     smoothed..side.saturating_sub(smoothed)
 }
 
-/// Rows from one that is compared to the next: the smallest transform has four.
+/// Rows from one that is looked at to the next: the smallest transform has four.
 const APART: usize = 3;
 
 #[cfg(test)]

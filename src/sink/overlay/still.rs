@@ -1,7 +1,7 @@
 //! Single pictures with the results drawn into them as in the overlay video, for pages.
 
 use super::super::colour::{ConvertError, ToBgr};
-use super::super::jpeg::{self, Loss};
+use super::super::jpeg::{JpegEncoder, Loss};
 use super::pen::Canvas;
 use super::scene::Scene;
 use super::{unit, whole};
@@ -60,6 +60,7 @@ impl Stills {
         let stride = 3 * width as usize;
         let from = part.y0 as usize * stride + 3 * part.x0 as usize;
         let cut = canvas.bgr.data_bytes()?.get(from..).unwrap_or_default();
-        jpeg::encode(cut, stride, [part.width(), part.height()], Loss::Little).map_err(StillError::Jpeg)
+        let encoder = JpegEncoder::new([part.width(), part.height()], Loss::Little);
+        encoder.and_then(|mut encoder| encoder.encode(cut, stride)).map_err(StillError::Jpeg)
     }
 }
