@@ -92,6 +92,19 @@ pub enum IdentifyError {
         /// Its value.
         value: f64,
     },
+    /// A value whose square is no number.
+    #[error(
+        "{name}: the largest value of the {what} is {largest:e}: squares of such values cannot be computed; correct it, \
+         leave the cell empty, or choose another unit"
+    )]
+    OutOfRange {
+        /// The records.
+        name: String,
+        /// `input`, `output` or `coil's current`.
+        what: &'static str,
+        /// The largest, without its sign.
+        largest: f64,
+    },
     /// The data determine none of the models searched.
     #[error(
         "the data determine none of the models searched: the input moves too little, or at too few frequencies; search \

@@ -81,7 +81,9 @@ fn report_files(outcome: &Outcome, written: &[PathBuf]) -> Result<(), Failure> {
 /// A failure that names its records.
 fn failure(data: &Data, error: IdentifyError) -> Failure {
     let exit = match error {
-        IdentifyError::Nothing { .. } | IdentifyError::Still { .. } => return Failure::usage(error),
+        IdentifyError::Nothing { .. } | IdentifyError::Still { .. } | IdentifyError::OutOfRange { .. } => {
+            return Failure::usage(error);
+        }
         IdentifyError::NotPeriodic { .. } => return Failure::usage(error),
         IdentifyError::NotRepeated { .. } => return Failure::new(Exit::Unusable, error),
         IdentifyError::TooShort { .. } | IdentifyError::TooShortToJudge { .. } => Exit::Usage,

@@ -377,6 +377,9 @@ fn segments_of(records: &[Record]) -> Vec<Segment> {
     numbered.map(|(record, segment)| Segment { record, ..segment.clone() }).collect()
 }
 
+/// Largest values with which sums of squares can be computed.
+const USABLE: std::ops::Range<f64> = 1e-100..1e100;
+
 /// Input, output and the current behind the input must change: a torque of a constant current is the output's own.
 fn moves(records: &[Record]) -> Result<(), IdentifyError> {
     let name = records.iter().map(|r| r.name.as_str()).collect::<Vec<_>>().join(", ");
@@ -389,10 +392,14 @@ fn moves(records: &[Record]) -> Result<(), IdentifyError> {
     let has_current = records.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
     for (what, signal) in signals.into_iter().take(if has_current { 3 } else { 2 }) {
         let all = records.iter().flat_map(|r| &r.segments).flat_map(|s| signal(s).iter().copied());
-        let mut values = all.filter(|v| !v.is_nan());
-        let Some(first) = values.next() else { return Err(IdentifyError::Nothing { name }) };
-        if values.all(|v| v == first) {
+        let values = all.filter(|v| !v.is_nan());
+        let Some(first) = values.clone().next() else { return Err(IdentifyError::Nothing { name }) };
+        if values.clone().all(|v| v == first) {
             return Err(IdentifyError::Still { name, what, value: first });
+        }
+        let largest = values.map(f64::abs).fold(0.0, f64::max);
+        if !USABLE.contains(&largest) {
+            return Err(IdentifyError::OutOfRange { name, what, largest });
         }
     }
     Ok(())

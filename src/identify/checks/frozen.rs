@@ -10,10 +10,13 @@ use crate::identify::estimate::noise_colour::Colour;
 use crate::identify::model::polynomials::Polynomials;
 use crate::identify::model::reproduction::{InitialState, Kind, output};
 use std::fmt;
+use std::ops::Range;
 
 /// A run is long when it has this many samples, and is as much longer than most.
 const LONG: usize = 20;
 const TIMES_USUAL: usize = 20;
+/// Most runs that are examined, the longest first.
+const MOST_RUNS: usize = 10;
 /// Part of the runs that are no longer than the usual one.
 const USUAL_PART: f64 = 0.9;
 /// How much larger than elsewhere the residual must be, in mean squares.
@@ -70,30 +73,56 @@ impl fmt::Display for Frozen {
     }
 }
 
-/// The longest run of a record, if it is no sound input's.
+/// The longest run of a record that is no sound signal's.
 pub(super) fn frozen(model: &Polynomials, record: &Record, period_s: f64, of: Signal) -> Option<Frozen> {
-    // Segment, first sample, samples.
-    let mut runs: Vec<(usize, usize, usize)> = Vec::new();
-    for (k, segment) in record.segments.iter().enumerate() {
+    let mut runs = runs(record, of);
+    runs.sort_by_key(|run| run.samples.len());
+    let usual = runs.get((USUAL_PART * runs.len().checked_sub(1)? as f64) as usize)?.samples.len();
+    let long = runs.into_iter().rev().take_while(|run| run.samples.len() >= LONG.max(TIMES_USUAL * usual));
+    let left: Vec<Vec<f64>> = record
+        .segments
+        .iter()
+        .map(|segment| {
+            let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
+            segment.output.iter().zip(modelled).map(|(y, m)| y - m).collect()
+        })
+        .collect();
+    // At rest a signal keeps its value longest, and hangs later.
+    long.take(MOST_RUNS).find_map(|Run { segment: k, samples }| {
+        let ratio = larger_meanwhile(&left, k, samples.clone())?;
+        let segment = record.segments.get(k)?;
+        Some(Frozen {
+            of,
+            from_s: segment.start_s + samples.start as f64 * period_s,
+            samples: samples.len(),
+            value: of.in_segment(segment).get(samples.start).copied().unwrap_or(f64::NAN),
+            ratio,
+        })
+    })
+}
+
+/// Where a signal keeps its value.
+struct Run {
+    segment: usize,
+    samples: Range<usize>,
+}
+
+fn runs(record: &Record, of: Signal) -> Vec<Run> {
+    let mut runs = Vec::new();
+    for (segment, signal) in record.segments.iter().map(|segment| of.in_segment(segment)).enumerate() {
         let mut first = 0;
-        for run in of.in_segment(segment).chunk_by(|a, b| a == b) {
-            runs.push((k, first, run.len()));
+        for run in signal.chunk_by(|a, b| a == b) {
+            runs.push(Run { segment, samples: first..first + run.len() });
             first += run.len();
         }
     }
-    let mut lengths: Vec<usize> = runs.iter().map(|(.., length)| *length).collect();
-    lengths.sort_unstable();
-    let usual = *lengths.get((USUAL_PART * lengths.len().checked_sub(1)? as f64) as usize)?;
-    let (k, first, length) = runs.into_iter().max_by_key(|(.., length)| *length)?;
-    if length < LONG.max(TIMES_USUAL * usual) {
-        return None;
-    }
-    let residual = |segment| {
-        let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
-        segment.output.iter().zip(modelled).map(|(y, m)| y - m).collect::<Vec<_>>()
-    };
-    let mut elsewhere: Vec<Vec<f64>> = record.segments.iter().map(residual).collect();
-    let meanwhile = elsewhere.get_mut(k)?.get_mut(first..first + length)?;
+    runs
+}
+
+/// RMS of the residual in these samples over that elsewhere, if that is more than noise does.
+fn larger_meanwhile(left: &[Vec<f64>], segment: usize, samples: Range<usize>) -> Option<f64> {
+    let mut elsewhere = left.to_vec();
+    let meanwhile = elsewhere.get_mut(segment)?.get_mut(samples.clone())?;
     let within = meanwhile.to_vec();
     meanwhile.fill(f64::NAN);
     let mean_square = |values: &mut dyn Iterator<Item = f64>| {
@@ -102,17 +131,10 @@ pub(super) fn frozen(model: &Polynomials, record: &Record, period_s: f64, of: Si
     };
     let ratio = mean_square(&mut within.iter().copied()) / mean_square(&mut elsewhere.iter().flatten().copied());
     // The ratio scatters like χ² over its degrees of freedom (Wilson and Hilferty, doi:10.1073/pnas.17.12.684).
-    let free = (length as f64 / Colour::of(&elsewhere).correlated_samples().max(1.0)).max(1.0);
+    let free = (samples.len() as f64 / Colour::of(&elsewhere).correlated_samples().max(1.0)).max(1.0);
     let spread = 2.0 / (9.0 * free);
     let limit = (1.0 - spread + BY_CHANCE * spread.sqrt()).powi(3).max(LARGER);
-    let segment = record.segments.get(k)?;
-    (ratio > limit).then(|| Frozen {
-        of,
-        from_s: segment.start_s + first as f64 * period_s,
-        samples: length,
-        value: of.in_segment(segment).get(first).copied().unwrap_or(f64::NAN),
-        ratio: ratio.sqrt(),
-    })
+    (ratio > limit).then(|| ratio.sqrt())
 }
 
 #[cfg(test)]
@@ -140,6 +162,20 @@ mod tests {
         assert!((hung.from_s - 11.0).abs() < 1e-9 && hung.samples == 100 && hung.value == 0.7, "{hung:?}");
         assert!(hung.ratio > 5.0, "{hung:?}");
         assert!(found(0.02, |t, u| if (1000..1100).contains(&t) { 0.0 } else { u }).is_some());
+    }
+
+    #[test]
+    fn a_longer_rest_does_not_hide_it() {
+        let model = Polynomials { a: vec![1.0, -0.9], b: vec![0.1], nk: 1 };
+        let moved = |t: usize| if t < 600 { 0.0 } else { (TAU * 0.01 * (t - 600) as f64).sin() };
+        let input: Vec<f64> = (0..3000).map(moved).collect();
+        let noisy = model.simulate(&input).into_iter().zip(noise(1, 3000)).map(|(y, e)| y + 0.02 * e);
+        let output = noisy.collect();
+        let input = input.iter().enumerate().map(|(t, u)| if (1000..1300).contains(&t) { 0.7 } else { *u }).collect();
+        let segment = Segment { input, output, from_rest: true, ..Segment::default() };
+        let record = Record { name: "r".to_owned(), segments: vec![segment] };
+        let hung = frozen(&model, &record, 0.01, Signal::Input).unwrap();
+        assert!((hung.from_s - 10.0).abs() < 1e-9 && hung.samples == 300, "{hung:?}");
     }
 
     /// A camera that repeats its last picture, one that shows nothing, and an output at rest.

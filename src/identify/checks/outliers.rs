@@ -16,6 +16,8 @@ const MOST_OUTLYING: f64 = 0.03;
 /// Fewest values at a limit, and their number over that of the values next to it: a sine in coarse steps has 2.4.
 const MIN_AT_LIMIT: usize = 10;
 const MORE_THAN_NEXT: usize = 5;
+/// How far the model must be from them on average, over the RMS of its residual.
+const ELSEWHERE: f64 = 0.5;
 
 /// Values of one record that are far from their neighbours.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,13 +76,15 @@ pub(super) fn outliers(model: &Polynomials, record: &Record, period_s: f64) -> O
     (count as f64 <= (MOST_OUTLYING * samples as f64).max(1.0)).then_some(Outliers { count, ..worst })
 }
 
-/// A limit at which the output stays: how often, and its value.
-pub(super) fn limit(record: &Record) -> Option<(usize, f64)> {
+/// A limit at which the output stays though the model goes on, or is elsewhere: how often, and its value. At rest it
+/// stays at the end of its scale, too.
+pub(super) fn limit(model: Option<&Polynomials>, record: &Record) -> Option<(usize, f64)> {
     let outputs = record.segments.iter().flat_map(|s| &s.output).copied().filter(|y| !y.is_nan());
     let mut sorted: Vec<f64> = outputs.collect();
     sorted.sort_by(f64::total_cmp);
     let at_end = |values: &mut dyn Iterator<Item = f64>| {
-        let mut values = values.peekable();
+        // Adding 0 makes 0 of −0.
+        let mut values = values.map(|value| value + 0.0).peekable();
         let mut count = || {
             let value = values.next()?;
             let mut count = 1;
@@ -92,7 +96,25 @@ pub(super) fn limit(record: &Record) -> Option<(usize, f64)> {
         let ((last, value), (next, _)) = (count()?, count()?);
         (last >= MIN_AT_LIMIT && last >= MORE_THAN_NEXT * next).then_some((last, value))
     };
-    at_end(&mut sorted.iter().rev().copied()).or_else(|| at_end(&mut sorted.iter().copied()))
+    let is_elsewhere =
+        |(_, value): &(usize, f64)| model.is_none_or(|model| mean_off(model, record, *value) > ELSEWHERE);
+    at_end(&mut sorted.iter().rev().copied())
+        .filter(is_elsewhere)
+        .or_else(|| at_end(&mut sorted.iter().copied()).filter(is_elsewhere))
+}
+
+/// How far the model is from the outputs of this value on average, over the RMS of its residual.
+fn mean_off(model: &Polynomials, record: &Record, value: f64) -> f64 {
+    let left = record.segments.iter().flat_map(|segment| {
+        let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
+        segment.output.iter().copied().zip(modelled).map(|(y, m)| (y, y - m)).collect::<Vec<_>>()
+    });
+    let left: Vec<(f64, f64)> = left.filter(|(_, left)| !left.is_nan()).collect();
+    let mean = |sum: f64, count: usize| sum / count.max(1) as f64;
+    let rms = mean(left.iter().map(|(_, left)| left * left).sum(), left.len()).sqrt();
+    let (sum, count) =
+        left.iter().filter(|(y, _)| *y == value).fold((0.0, 0), |(sum, count), (_, left)| (sum + left, count + 1));
+    mean(sum, count).abs() / rms
 }
 
 #[cfg(test)]
@@ -132,10 +154,31 @@ mod tests {
 
     #[test]
     fn a_scale_that_ends_is_seen_and_coarse_steps_are_not() {
-        assert_eq!(limit(&record(|_, y| y).1), None);
-        assert_eq!(limit(&record(|_, y| (y * 20.0).round() / 20.0).1), None);
-        let (count, value) = limit(&record(|_, y| y.min(0.6)).1).unwrap();
+        let found = |spoil: fn(usize, f64) -> f64| {
+            let (model, record) = record(spoil);
+            limit(Some(&model), &record)
+        };
+        assert_eq!(found(|_, y| y), None);
+        assert_eq!(found(|_, y| (y * 20.0).round() / 20.0), None);
+        let (count, value) = found(|_, y| y.min(0.6)).unwrap();
         assert!(count > 100 && value == 0.6, "{count}");
-        assert!(limit(&record(|_, y| y.max(-0.6)).1).is_some());
+        assert!(found(|_, y| y.max(-0.6)).is_some());
+        assert!(found(|t, y| if t % 100 == 7 { -999.0 } else { y }).is_some());
+    }
+
+    /// At rest, then to one side only, in coarse steps.
+    #[test]
+    fn an_output_at_rest_is_at_no_limit() {
+        let model = Polynomials { a: vec![1.0, -0.9], b: vec![0.1], nk: 1 };
+        let input: Vec<f64> =
+            (0..2000).map(|t| if t < 300 { 0.0 } else { 1.0 - (f64::from(t - 300) * 0.02).cos() }).collect();
+        let noisy = model.simulate(&input).into_iter().zip(noise(1, 2000)).map(|(y, e)| y + 0.001 * e);
+        let output: Vec<f64> = noisy.map(|y| (y / 0.01).round() * 0.01).collect();
+        let segment = Segment { input, output, from_rest: true, ..Segment::default() };
+        let mut record = Record { name: "r".to_owned(), segments: vec![segment] };
+        assert!(limit(None, &record).is_some());
+        assert_eq!(limit(Some(&model), &record), None);
+        record.segments[0].output.iter_mut().for_each(|y| *y = y.min(1.5));
+        assert_eq!(limit(Some(&model), &record).unwrap().1, 1.5);
     }
 }

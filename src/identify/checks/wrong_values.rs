@@ -21,7 +21,7 @@ pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled]
             let outliers = outliers::outliers(&model.model, record, period_s)?;
             Some(Diagnostic::Outlying { record: name(), outliers })
         });
-        let at_limit = outliers::limit(record);
+        let at_limit = outliers::limit(model.map(|model| &model.model), record);
         let at_limit = at_limit.map(|(count, value)| Diagnostic::AtLimit { record: name(), count, value });
         let jump = stable().find_map(|model| jump(&model.model, record, period_s));
         let moved = jump.map(|jump| Diagnostic::Jumps { record: name(), jump }).or_else(|| {

@@ -105,7 +105,7 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
     let mut left_out = 0;
     for period in skip.. {
         let from = place(period).round() as usize;
-        if from + samples > end {
+        if from.saturating_add(samples) > end {
             break;
         }
         let inside = |s: &&Segment| s.first <= from && from + samples <= s.first + s.len();
@@ -127,7 +127,7 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
             periods.len()
         ));
     }
-    let missing = fill(&mut periods, samples)?;
+    let widened = fill(&mut periods, samples)?;
     // 2. their spectra
     let transform = FftPlanner::new().plan_fft_forward(samples);
     let spectrum = |signal: &[f64], late: f64| -> Vec<Complex<f64>> {
@@ -142,7 +142,7 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
     let spectra: Vec<_> = periods.iter().map(|p| (spectrum(&p.input, p.late), spectrum(&p.output, p.late))).collect();
     // 3. means and the scatter about them
     let mut all: Vec<Line> =
-        (1..samples.div_ceil(2)).map(|k| line(&spectra, k, repeats_s, samples, 1.0 / (1.0 - missing))).collect();
+        (1..samples.div_ceil(2)).map(|k| line(&spectra, k, repeats_s, samples, &widened)).collect();
     let input_noise = smoothed(&all, |l| l.input_variance);
     let output_noise = smoothed(&all, |l| l.output_variance);
     for ((line, input), output) in all.iter_mut().zip(&input_noise).zip(&output_noise) {
@@ -179,27 +179,37 @@ struct Period {
 /// Of input and output.
 type Spectra = (Vec<Complex<f64>>, Vec<Complex<f64>>);
 
-/// Fills each missing output from the other periods; returns the fraction missing, by which the scatter is reduced.
-fn fill(periods: &mut [Period], samples: usize) -> Result<f64, String> {
-    let mut missing = 0;
+/// By how much the scatter of periods in which outputs are missing is too small.
+struct Widened {
+    output_variance: f64,
+    covariance: f64,
+}
+
+/// Fills each missing output from the other periods. Of the M periods M_t have sample t: its mean has the variance
+/// σ²/M_t, and the filled ones do not scatter, so that M − 1 squares are those of M_t − 1.
+fn fill(periods: &mut [Period], samples: usize) -> Result<Widened, String> {
+    let m = periods.len() as f64;
+    let (mut of_mean, mut scattered) = (0.0, 0.0);
     for t in 0..samples {
         let seen: Vec<f64> = periods.iter().map(|p| p.output[t]).filter(|y| !y.is_nan()).collect();
-        missing += periods.len() - seen.len();
         if seen.is_empty() {
             return Err(format!("sample {t} of the period was observed in none of the {} periods", periods.len()));
         }
-        let mean = seen.iter().sum::<f64>() / seen.len() as f64;
+        let count = seen.len() as f64;
+        of_mean += m / count;
+        scattered += (count - 1.0) / (m - 1.0);
+        let mean = seen.iter().sum::<f64>() / count;
         periods.iter_mut().filter(|p| p.output[t].is_nan()).for_each(|p| p.output[t] = mean);
     }
-    Ok(missing as f64 / (samples * periods.len()) as f64)
+    Ok(Widened { output_variance: of_mean / scattered, covariance: samples as f64 / scattered })
 }
 
-fn line(spectra: &[Spectra], k: usize, repeats_s: f64, samples: usize, scale: f64) -> Line {
+fn line(spectra: &[Spectra], k: usize, repeats_s: f64, samples: usize, widened: &Widened) -> Line {
     let m = spectra.len() as f64;
     let mean = |of: fn(&Spectra, usize) -> Complex<f64>| spectra.iter().map(|s| of(s, k)).sum::<Complex<f64>>() / m;
     let (input, output) = (mean(|s, k| s.0[k]), mean(|s, k| s.1[k]));
     // Variance of the mean: that of one period over the number of periods.
-    let of_mean = scale / (m * (m - 1.0));
+    let of_mean = 1.0 / (m * (m - 1.0));
     let off = || spectra.iter().map(|s| (s.0[k] - input, s.1[k] - output));
     Line {
         frequency_hz: k as f64 / repeats_s,
@@ -207,8 +217,8 @@ fn line(spectra: &[Spectra], k: usize, repeats_s: f64, samples: usize, scale: f6
         input,
         output,
         input_variance: off().map(|(u, _)| u.norm_sqr()).sum::<f64>() * of_mean,
-        output_variance: off().map(|(_, y)| y.norm_sqr()).sum::<f64>() * of_mean,
-        covariance: off().map(|(u, y)| y * u.conj()).sum::<Complex<f64>>() * of_mean,
+        output_variance: off().map(|(_, y)| y.norm_sqr()).sum::<f64>() * of_mean * widened.output_variance,
+        covariance: off().map(|(u, y)| y * u.conj()).sum::<Complex<f64>>() * of_mean * widened.covariance,
         is_clear: true,
     }
 }

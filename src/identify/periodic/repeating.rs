@@ -9,6 +9,8 @@ use crate::identify::data::segments::Segment;
 const MOST: f64 = 0.8;
 /// Part that is looked at for a longer period.
 const LOOKED_AT: f64 = 0.1;
+/// Most periods after which it may repeat.
+const MOST_PERIODS: usize = 100;
 /// Part of this, and of the power, that a longer period may leave at most: noise is the same for any, and changes by
 /// chance.
 const CLEARLY_LESS: f64 = 0.8;
@@ -43,13 +45,14 @@ impl Unrepeated {
 /// The first `skip` periods do not count.
 pub(crate) fn unrepeated(segments: &[Segment], period_s: f64, repeats_s: f64, skip: usize) -> Option<Unrepeated> {
     let samples = repeats_s / period_s;
-    let from = segments.first()?.first + (skip as f64 * samples).round() as usize;
+    let from = segments.first()?.first.saturating_add((skip as f64 * samples).round() as usize);
     let end = segments.last().map(|s| s.first + s.len())?;
     let part = |periods: usize| changing(segments, from, (periods as f64 * samples).round() as usize);
     let once = part(1)?;
-    let longest = (end.saturating_sub(from) as f64 / samples / 2.0).floor() as usize;
+    let longest = ((end.saturating_sub(from) as f64 / samples / 2.0).floor() as usize).min(MOST_PERIODS);
+    let longest = if once > LOOKED_AT { longest } else { 1 };
     let longer = (2..=longest).filter_map(|periods| Some((periods, part(periods)?)));
-    let best = longer.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| once > LOOKED_AT);
+    let best = longer.min_by(|a, b| a.1.total_cmp(&b.1));
     let better = best.filter(|(_, part)| *part < LITTLE.min(CLEARLY_LESS * once));
     // Of its multiples the shortest.
     let multiple = better.and_then(|(periods, least)| {

@@ -145,6 +145,34 @@ fn missing_outputs_and_holes_cost_periods_and_nothing_else() {
     assert!(off.iter().zip(sd).all(|(off, sd)| off.abs() < 3.0 * sd), "{off}");
 }
 
+/// The mean of fewer outputs varies more, and those that are filled in do not scatter.
+#[test]
+fn sigma_of_lines_holds_where_outputs_are_missing() {
+    const RECORDS: u64 = 120;
+    let clean = truth().sampled(PERIOD_S).simulate(&multisine(1, 9));
+    let settled = Segment { input: multisine(1, 9), output: clean, from_rest: true, ..Segment::default() };
+    let exact = average::average(&[settled], PERIOD_S, every(4).every_s, 4).unwrap().lines;
+    let (mut squares, mut count) = (0.0, 0.0);
+    for seed in 0..RECORDS {
+        let mut record = record(seed, 9, 0.0, 0.1);
+        let segment = &mut record.segments[0];
+        let missing = noise(seed + 900, segment.len());
+        segment.output.iter_mut().zip(missing).filter(|(_, by)| *by > 1.5).for_each(|(y, _)| *y = f64::NAN);
+        let found = average::average(&record.segments, PERIOD_S, every(1).every_s, 1).unwrap();
+        // With more than a tenth missing a period is left out.
+        if found.left_out > 0 {
+            continue;
+        }
+        for (line, exact) in found.lines.iter().zip(&exact) {
+            squares += (line.output - exact.output).norm_sqr() / line.output_variance;
+            count += 1.0;
+        }
+    }
+    // Of 8 periods, the mean of σ²/s² is 7/6.
+    let ratio = squares / count / (7.0 / 6.0);
+    assert!(count > 2000.0 && (0.95..1.05).contains(&ratio), "{ratio} of {count}");
+}
+
 #[test]
 fn a_system_that_has_not_settled_and_one_of_higher_order_are_noticed() {
     let slow = Continuous { den: vec![1.0, 8.05, 0.4], ..truth() };

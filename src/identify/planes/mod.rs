@@ -364,7 +364,6 @@ pub(crate) fn identify(
     })
 }
 
-/// The first angle that hardly changes in any of the records, about the mean of all.
 /// Whether an output moves in any of the records.
 fn moves(records: &[Motion], output: usize) -> bool {
     let within = |record: &Motion| {
