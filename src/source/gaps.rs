@@ -13,7 +13,7 @@
 //! step of that length: a header may state 60 frames per second and the recording have every eighth.
 //!
 //! A recording of truly variable rate has no period: where more than a quarter of the steps are not whole multiples of
-//! the median, only steps over [`GAP_MEDIANS`] medians are counted, in medians. What this cannot detect: frames lost
+//! the median, or short and long steps take turns, only steps over [`GAP_MEDIANS`] medians are counted, in medians. What this cannot detect: frames lost
 //! when a clock stamps them at a constant rate as they arrive.
 
 use std::collections::VecDeque;
@@ -142,7 +142,7 @@ impl GapCounter {
         let Some(median_ns) = self.lower_median_ns().filter(|_| count >= MIN_STEPS) else {
             return Rhythm::Unknown;
         };
-        if !self.is_regular(median_ns) {
+        if !self.is_regular(median_ns) || self.alternates(median_ns) {
             return Rhythm::Varying { median_ns };
         }
         let (mut time_ns, mut periods) = (0.0, 0.0);
@@ -179,6 +179,13 @@ impl GapCounter {
         let off_ns = (step_ns as f64 - k * period_ns).abs();
         // Either stamp is up to half a tick off.
         (off_ns <= JITTER_TOLERANCE * period_ns + self.tick_ns).then_some(k)
+    }
+
+    /// Whether steps of one and of more periods take turns: stamps that alternate, or every third frame lost.
+    fn alternates(&self, period_ns: f64) -> bool {
+        let periods: Vec<_> = self.steps_ns.iter().map(|&step_ns| self.periods(step_ns, period_ns)).collect();
+        let turns = periods.windows(2).filter(|pair| pair[0] != pair[1]).count();
+        turns * 10 >= 9 * periods.len().saturating_sub(1)
     }
 
     /// Whether all of few steps, or three quarters of many, are whole multiples.
@@ -249,6 +256,18 @@ mod tests {
         let lost = (kept.last().unwrap() + 1) as u32 - kept.len() as u32;
         assert_eq!(counted, lost);
         assert!(lost > 600);
+    }
+
+    /// A camera of 60 Hz whose every second stamp is 5.5 ms late, and one of 90 Hz that loses every third frame.
+    #[test]
+    fn stamps_that_alternate_are_no_gaps() {
+        let late = |f: i64| sixty(f) + f % 2 * 11 * MS / 2;
+        let third = (0..500).filter(|f| f % 3 != 2).map(|f| f * 1_000_000_000 / 90);
+        for stamps in [(0..500).map(late).collect::<Vec<_>>(), third.collect()] {
+            let mut counter = GapCounter::new(None, 1e3);
+            assert!(gaps(&mut counter, stamps).iter().all(|&gap| gap == 0));
+            assert!(matches!(counter.rhythm(), Rhythm::Varying { .. }), "{:?}", counter.rhythm());
+        }
     }
 
     #[test]
