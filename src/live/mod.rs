@@ -61,6 +61,8 @@ use writer::{Entry, Log};
 
 /// How long a camera that was asked to stop may take.
 const STOP_TIMEOUT: Duration = Duration::from_secs(4);
+/// How long whoever receives currents may take to stop.
+const CURRENTS_TIMEOUT: Duration = Duration::from_secs(1);
 /// How often the caller's thread looks around.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// How often the status is reported.
@@ -279,7 +281,7 @@ fn take_all(mut source: Box<dyn FrameSource + Send>, queue: &Queue, stop: &Atomi
     (source.faults(), end)
 }
 
-/// Hands on currents until there are no more, or the run stops.
+/// Hands on currents until there are no more.
 fn log_currents(
     currents: &Currents,
     log: &Log,
@@ -287,6 +289,7 @@ fn log_currents(
     latest: Option<&Latest>,
     stop: &AtomicBool,
 ) {
+    let mut ends: Option<Instant> = None;
     loop {
         match currents.samples.recv_timeout(POLL_INTERVAL) {
             Ok(sample) => {
@@ -298,6 +301,8 @@ fn log_currents(
                 log.put(Entry::Current(sample));
             }
             Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => {}
+            // Who receives them reports what was lost before it is done.
+            Err(RecvTimeoutError::Timeout) if ends.get_or_insert_with(Instant::now).elapsed() < CURRENTS_TIMEOUT => {}
             Err(_) => return,
         }
     }

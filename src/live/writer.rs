@@ -76,7 +76,7 @@ impl Backlog {
         }
     }
 
-    /// Sinks that still write.
+    /// Sinks that still write each row as it comes.
     pub(super) fn sinks_alive(&self) -> usize {
         self.sinks_alive.load(Ordering::Relaxed)
     }
@@ -93,7 +93,8 @@ impl Log {
     /// Starts the thread; it ends when the last sender is gone, and gives the sinks back, with what went wrong.
     pub(super) fn start(sinks: Vec<Box<dyn Sink + Send>>) -> io::Result<(Self, JoinHandle<Written>)> {
         let (entries, line) = sync_channel(MAX_ROWS);
-        let backlog = Arc::new(Backlog { sinks_alive: AtomicUsize::new(sinks.len()), ..Backlog::default() });
+        let at_once = sinks.iter().filter(|sink| sink.writes_at_once()).count();
+        let backlog = Arc::new(Backlog { sinks_alive: AtomicUsize::new(at_once), ..Backlog::default() });
         let shared = Arc::clone(&backlog);
         let thread = Builder::new().name("log".to_owned()).spawn(move || write_all(sinks, &line, &shared))?;
         Ok((Self { entries, backlog }, thread))
@@ -147,7 +148,7 @@ fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: 
             };
             if let Err(error) = written {
                 *works = false;
-                backlog.sinks_alive.fetch_sub(1, Ordering::Relaxed);
+                backlog.sinks_alive.fetch_sub(usize::from(sink.writes_at_once()), Ordering::Relaxed);
                 tracing::error!("{error}; what was written before is kept, the rest of the run continues");
                 failures.push(error);
             }

@@ -90,6 +90,10 @@ impl Sink for ReportSink {
         Ok(())
     }
 
+    fn writes_at_once(&self) -> bool {
+        false
+    }
+
     fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
         let Some(mut file) = self.file.take() else { return Ok(()) };
         let pictures = self.moments.section(tally.frames, self.course.origin());

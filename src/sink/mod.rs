@@ -91,6 +91,11 @@ pub trait Sink {
         Ok(())
     }
 
+    /// Whether what it is given is in its file soon; a page is written at its end.
+    fn writes_at_once(&self) -> bool {
+        true
+    }
+
     /// Completes the file, with the count of the whole run. Called exactly once, also after an interrupt or an error.
     ///
     /// # Errors

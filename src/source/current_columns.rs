@@ -72,18 +72,37 @@ impl CurrentColumns {
         if let Some(other) = coils.iter().map(|i| names[*i].as_ref()).find(is_no_coil) {
             return Err(format!("column `{other}` is no coil: all columns but the time are currents; leave it out"));
         }
-        if let Some(milli) = coils.iter().map(|i| names[*i].as_ref()).find(|name| is_in_ma(name)) {
-            return Err(format!("column `{milli}` is in milliamperes; currents are given in amperes"));
+        for name in coils.iter().map(|i| names[*i].as_ref()) {
+            if let Some(unit) = other_unit(name) {
+                return Err(format!("column `{name}` is in {unit}; currents are given in amperes"));
+            }
         }
         Ok(Self { time, times, coils, width: names.len() })
     }
 }
 
-/// Whether a name ends with the unit mA: `coil_mA`, `coil (mA)`, `I1 [mA]`, `coil_milliamps`.
-fn is_in_ma(name: &str) -> bool {
-    let mut words = name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).rev();
-    let Some(last) = words.next().map(str::to_ascii_lowercase) else { return false };
-    last.starts_with("milliamp") || last == "ma" && words.next().is_some()
+/// The unit in a name that is not amperes: `coil_mA`, `coil [mA] 2`, `I_uA_meas`, `coil_milliamps`, `theta_deg`. The
+/// first word alone is a name.
+fn other_unit(name: &str) -> Option<&'static str> {
+    let words = name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());
+    words.enumerate().find_map(|(place, word)| {
+        let lower = word.to_lowercase();
+        match lower.as_str() {
+            _ if lower.starts_with("milliamp") => Some("milliamperes"),
+            _ if lower.starts_with("microamp") => Some("microamperes"),
+            _ if place == 0 => None,
+            "ma" => Some("milliamperes"),
+            "ua" | "µa" | "μa" => Some("microamperes"),
+            "deg" => Some("degrees"),
+            "rad" => Some("radians"),
+            "mm" => Some("millimetres"),
+            "mv" => Some("millivolts"),
+            "volt" | "volts" => Some("volts"),
+            "mt" => Some("milliteslas"),
+            "hz" => Some("hertz"),
+            _ => None,
+        }
+    })
 }
 
 #[cfg(test)]
@@ -106,6 +125,10 @@ mod tests {
             ("t_s,i1,seq", "column `seq` is no coil"),
             ("t_s,time,i1", "column `time` is no coil"),
             ("t_s,i1 (mA)", "column `i1 (mA)` is in milliamperes"),
+            ("t_s,coil_mA_1", "column `coil_mA_1` is in milliamperes"),
+            ("t_s,coil [mA] 2", "column `coil [mA] 2` is in milliamperes"),
+            ("t_s,coil_ua", "column `coil_ua` is in microamperes"),
+            ("t_s,i1,theta_deg", "column `theta_deg` is in degrees"),
             ("Unnamed: 0,t_s,i1", "has a column without a name, number 1"),
             (",t_s,i1", "has a column without a name, number 1, which would be taken for a coil"),
             ("t_s,i1,", "has a column without a name, number 3"),

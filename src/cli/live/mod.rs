@@ -130,6 +130,7 @@ fn listening(text: &str) -> Result<SocketAddr, String> {
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let until = Until { stop: interrupt::watch()?, duration: args.duration };
+    let work = Work::new();
     // 1. everything is checked before anything is written
     let (mut rig, mut rig_toml) = load_rig(&args.rig, args.frame)?;
     let simulated = args.simulated(&rig)?;
@@ -150,7 +151,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         tracing::info!("subscribers find the topics at ws://{}", publisher.address());
     }
     let clock = HostClock::start();
-    let currents = args.currents.as_ref().map(|from| args.receive_currents(from, clock, &until.stop)).transpose()?;
+    let receive = |from| work.within(|| args.receive_currents(from, clock, &until.stop));
+    let currents = args.currents.as_ref().map(receive).transpose()?;
     let source = match simulated {
         Some(simulated) => {
             let rate_hz = args.from.fps.map(|rate| rate.hz());
@@ -185,7 +187,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let mut line = StatusLine::new(&args.name(), &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
     let show = |status: &live::Status| line.show(status);
-    let (began, work) = (Instant::now(), Work::new());
+    let began = Instant::now();
     let live = work
         .within(|| live::run(source, tracker, pool, outputs, clock, &until, show))
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;

@@ -155,14 +155,15 @@ pub(super) fn open_sinks(
 /// The exit code of a run, by how it ended, with the message to go with it.
 pub(super) fn verdict(source: &str, rig: &Rig, summary: Summary) -> Result<(), Failure> {
     let tally = &summary.tally;
-    let so_far = match tally.frames {
+    let frames = |done: &str| match tally.frames {
         0 => "nothing is tracked".to_owned(),
-        n => format!("{} tracked and written, the last one at {} s", plural(n, "frame"), seconds(tally.last_ns)),
+        n => format!("{} {done}, the last one at {} s", plural(n, "frame"), seconds(tally.last_ns)),
     };
+    let so_far = frames("tracked and written");
     // Disks come first: an interrupted run that could not be written is a failed one.
     if !summary.sink_failures.is_empty() {
         let errors: Vec<_> = summary.sink_failures.iter().map(SinkError::to_string).collect();
-        let text = format!("{}; the other files are complete: {so_far}", errors.join("; "));
+        let text = format!("{}; other files have all that was tracked: {}", errors.join("; "), frames("tracked"));
         // A transient one tells that the run may be repeated.
         let mut failures = summary.sink_failures;
         let which = failures.iter().position(|failure| is_transient(failure)).unwrap_or(0);

@@ -71,7 +71,10 @@ fn entries(args: &Args) -> Result<Vec<(Entry, Options)>, Failure> {
     let options = |entry: Entry| {
         let entry = Entry { rig: entry.rig.or_else(|| args.rig.clone()), ..entry };
         match args.options.with(&entry.options) {
-            Ok(options) => Ok((entry, options)),
+            Ok(options) => {
+                let options = options.of_recording(&entry.recording);
+                Ok((entry, options))
+            }
             // Only a manifest has options per line.
             Err(why) => {
                 let manifest = args.manifest.as_deref().unwrap_or(Path::new(""));

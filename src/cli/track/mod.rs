@@ -78,15 +78,24 @@ fn single(args: &Args, source: &PathBuf, quiet: bool) -> Result<(), Failure> {
     let interrupt = interrupt::watch()?;
     let (began, work) = (Instant::now(), Work::new());
     // 1. everything is checked before anything is written
-    let rig = LoadedRig::read(args.rig.as_deref(), source, &args.options)?;
+    let options = args.options.clone().of_recording(source);
+    let rig = LoadedRig::read(args.rig.as_deref(), source, &options)?;
     let threads = args.threads.unwrap_or(0);
     let pool = pool(threads)?;
     let folder = args.out.clone().unwrap_or_else(|| folder::default_folder(source));
-    let files = Files::new(&folder, args.csv.as_ref().and_then(Option::as_deref), args.options.overlay);
-    let files = files.recording(args.options.record);
-    let (options, command) = (&args.options, provenance::of_this_run());
-    let request =
-        Request { source, rig: &rig, options, files: &files, threads, pool: &pool, repeatable: false, command };
+    let files = Files::new(&folder, args.csv.as_ref().and_then(Option::as_deref), options.overlay);
+    let files = files.recording(options.record);
+    let command = provenance::of_this_run();
+    let request = Request {
+        source,
+        rig: &rig,
+        options: &options,
+        files: &files,
+        threads,
+        pool: &pool,
+        repeatable: false,
+        command,
+    };
     let ready = work.within(|| request.open())?;
     rig.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     // 2. the files
@@ -123,7 +132,7 @@ fn single(args: &Args, source: &PathBuf, quiet: bool) -> Result<(), Failure> {
     };
     let warned = (rig.warnings.clone(), work.warned());
     let columns = std::collections::BTreeMap::new();
-    let (name, run) = (folder::name(&folder), one::described(source, &rig.file, options));
+    let (name, run) = (folder::name(&folder), one::described(source, &rig.file, &options));
     let options = options.named();
     let over = FinishedRun { name, run, options, columns, hashes, measured, warned, began, repeatable: true };
     let saved = over.summary(&files, verdict.as_ref().err()).and_then(|summary| match summary {

@@ -3,10 +3,13 @@
 use super::super::run::{LogFor, Record, Reference};
 use super::super::units::seconds_ns;
 use crate::estimate::Spot;
+use crate::log::schema::OPTIONS_ATTACHMENT;
+use crate::log::{attached, is_log};
 use crate::source::times::seconds;
 use crate::source::{FrameRate, Span};
 use clap::Parser;
 use std::collections::BTreeMap;
+use std::path::Path;
 
 /// What the results of a recording depend on, beside the recording and its rig.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -74,6 +77,17 @@ impl Options {
             tick_led: own.tick_led.or(self.tick_led),
             full_frame: own.full_frame || self.full_frame,
         })
+    }
+
+    /// These for one recording: a log brings the lamp that was watched when it was written.
+    pub(super) fn of_recording(self, source: &Path) -> Self {
+        let of_log = || {
+            // A log that cannot be read is refused when it is opened.
+            let options = attached(source, OPTIONS_ATTACHMENT).ok()??.parse::<toml::Table>().ok()?;
+            options.get("tick_led")?.as_str()?.parse().ok()
+        };
+        let tick_led = self.tick_led.or_else(|| is_log(source).then(of_log)?);
+        Self { tick_led, ..self }
     }
 
     /// Whom the log is for.

@@ -38,6 +38,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Builder;
 use std::time::Duration;
+use tracing::Span;
 
 /// Samples that may wait to be logged.
 const MAX_WAITING: usize = 4096;
@@ -145,32 +146,34 @@ impl CurrentSource {
         let (sender, samples) = sync_channel(MAX_WAITING);
         let mut parser = Parser::new(self.to_string(), clock, sender, limit_a);
         let stop = Arc::clone(stop);
-        let thread = Builder::new().name("currents in".to_owned());
-        match self {
+        let receive: Box<dyn FnOnce() + Send> = match self {
             Self::Udp(address) => {
                 let socket = UdpSocket::bind(address)?;
                 socket.set_read_timeout(Some(STOP_POLL_INTERVAL))?;
-                thread.spawn(move || parser.datagrams(&socket, &stop))?;
+                Box::new(move || parser.datagrams(&socket, &stop))
             }
             Self::Serial(device, baud) => {
                 let line = serial(device, *baud)?;
                 // Short, because what comes meanwhile is stamped late; not zero, because an unplugged device ends at
                 // once.
-                thread.spawn(move || parser.lines(line, Start::Anywhere, POLL_INTERVAL, &stop))?;
+                Box::new(move || parser.lines(line, Start::Anywhere, POLL_INTERVAL, &stop))
             }
             Self::File(table) => {
                 let reader = parser.headed(Followed::open(table.clone())?)?;
-                thread.spawn(move || parser.lines(reader, Start::OfLine, STOP_POLL_INTERVAL, &stop))?;
+                Box::new(move || parser.lines(reader, Start::OfLine, STOP_POLL_INTERVAL, &stop))
             }
             Self::Play { table, .. } => {
                 let reader = parser.headed(Cursor::new(table.clone()))?;
-                thread.spawn(move || parser.lines(reader, Start::OfLine, STOP_POLL_INTERVAL, &stop))?;
+                Box::new(move || parser.lines(reader, Start::OfLine, STOP_POLL_INTERVAL, &stop))
             }
             Self::Ros2 { topic, domain, everywhere } => {
                 let mut listener = Listener::open(topic, *domain, *everywhere)?;
-                thread.spawn(move || parser.messages(&mut listener, &stop))?;
+                Box::new(move || parser.messages(&mut listener, &stop))
             }
-        }
+        };
+        // Its warnings belong to the caller's span.
+        let span = Span::current();
+        Builder::new().name("currents in".to_owned()).spawn(move || span.in_scope(receive))?;
         Ok(Currents { samples, wait: matches!(self, Self::File(_) | Self::Play { .. }) })
     }
 }

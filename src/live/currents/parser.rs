@@ -73,6 +73,9 @@ pub(super) struct Parser {
     /// Samples of a table whose time is that of their arrival, more or less; and those of other times.
     timely: u64,
     untimely: u64,
+    /// Time of the last row of a table, and how many rows have none later than the row before.
+    last_ns: Option<i64>,
+    not_later: u64,
     delays: Delays,
     sequence: Sequence,
     /// Lines of whole numbers between commas, before the first with a decimal point.
@@ -100,6 +103,8 @@ impl Parser {
             other_coils: 0,
             timely: 0,
             untimely: 0,
+            last_ns: None,
+            not_later: 0,
             delays: Delays::default(),
             sequence: Sequence::default(),
             whole_numbers: 0,
@@ -291,7 +296,8 @@ impl Parser {
                 if self.wrong == 1 {
                     let said = String::from_utf8_lossy(bytes.get(..bytes.len().min(60)).unwrap_or_default());
                     let why = if has_decimal_commas(&said) {
-                        ": with `;` between the currents, a comma can only be a decimal comma: write decimal points"
+                        ": with `;` or blanks between the currents, a comma can only be a decimal comma: write \
+                         decimal points"
                     } else {
                         ""
                     };
@@ -318,10 +324,15 @@ impl Parser {
         }
     }
 
-    /// Warns of a sender whose clock is another, or whose samples are lost. Rows of a table are not sent.
+    /// Warns of a sender whose clock is another, or whose samples are lost. Of a table, rows of an earlier run say
+    /// nothing of the clock, nor do times that count from the beginning of this one.
     fn note_sender(&mut self, sample: &CurrentSample) {
         if self.columns.is_some() {
-            return;
+            let last_ns = self.last_ns.replace(sample.host_ns);
+            self.not_later += u64::from(last_ns.is_some_and(|last_ns| sample.host_ns <= last_ns));
+            if self.is_timed_from_start() || !is_timely(sample) {
+                return;
+            }
         }
         let said = self.delays.take(sample).into_iter().chain(sample.seq.and_then(|seq| self.sequence.take(seq)));
         said.for_each(|said| tracing::warn!("{}: {said}", self.name));
@@ -398,7 +409,14 @@ impl Parser {
                 self.untimely
             )
         });
-        silent.into_iter().chain(untimely).chain(self.delays.doubt()).collect()
+        let not_later = (self.not_later > 0).then(|| {
+            format!(
+                "{} rows have a time that is not later than that of the row before: give all digits of the time, and \
+                 the rows in their order",
+                self.not_later
+            )
+        });
+        silent.into_iter().chain(untimely).chain(not_later).chain(self.delays.doubt()).collect()
     }
 
     fn sample(&self, bytes: &[u8], arrival_ns: i64) -> Option<CurrentSample> {
@@ -442,9 +460,12 @@ fn is_timely(sample: &CurrentSample) -> bool {
     sample.host_ns.abs_diff(sample.arrival_ns) <= MAX_SAMPLE_AGE_NS.unsigned_abs()
 }
 
-/// Whether a line of bare numbers has both separators, of which one is then a decimal comma.
+/// Whether a comma in a line of bare numbers is a decimal one: something else stands between the currents.
 fn has_decimal_commas(line: &str) -> bool {
-    !line.trim_start().starts_with('{') && line.contains(';') && line.contains(',')
+    let line = line.trim();
+    let within = |bytes: &[u8]| matches!(bytes, [a, b',', b] if a.is_ascii_digit() && b.is_ascii_digit());
+    let blanks = || line.contains([' ', '\t']) && !line.contains('.') && line.as_bytes().windows(3).any(within);
+    !line.starts_with('{') && line.contains(',') && (line.contains(';') || blanks())
 }
 
 /// Takes bytes for datagrams, and for lines of tables.
@@ -490,6 +511,10 @@ mod tests {
         assert!(table.doubts().concat().contains("none of 1 samples has a time of this run"), "{:?}", table.doubts());
         table.take(format!("{now},0.1").as_bytes());
         assert!(table.doubts().is_empty(), "{:?}", table.doubts());
+        table.take(format!("{now},0.2").as_bytes());
+        assert!(table.doubts().concat().contains("1 rows have a time that is not later"), "{:?}", table.doubts());
+        table.take(format!("{},0.1", now + 1_000_000_000).as_bytes());
+        assert!(table.delays.is_ahead());
     }
 
     #[test]
@@ -536,11 +561,11 @@ mod tests {
     #[test]
     fn decimal_commas_are_not_taken_for_more_currents() {
         let (mut parser, line) = parser(None);
-        for wrong in ["0,4; 0,2", "0,4;0", "1;0,5"] {
+        for wrong in ["0,4; 0,2", "0,4;0", "1;0,5", "0,05 -0,1", "0,05\t1"] {
             parser.take(wrong.as_bytes());
         }
-        assert_eq!((parser.wrong, line.try_recv().is_err()), (3, true));
-        for right in ["0.4; 0.2", "0.4, 0.2", "0.4 0.2"] {
+        assert_eq!((parser.wrong, line.try_recv().is_err()), (5, true));
+        for right in ["0.4; 0.2", "0.4, 0.2", "0.4 0.2", "0.4,0.2 "] {
             parser.take(right.as_bytes());
             assert_eq!(line.try_recv().unwrap().current_a, [0.4, 0.2], "{right}");
         }
