@@ -142,7 +142,7 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
         writeln!(out, "\n  no frame")?;
     }
     if let Some((first, last)) = info.host_span_ns {
-        writeln!(out, "  by the host's clock {:.3} s, from {} on", seconds(last - first), date(first))?;
+        writeln!(out, "  by the host's clock {:.3} s, from {} on", seconds(last.saturating_sub(first)), date(first))?;
     }
     let (gaps, lost) = info.gaps;
     writeln!(out, "  {} lost in {}", plural(lost, "camera frame"), plural(gaps, "gap"))?;

@@ -25,7 +25,8 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     if !reader.decoder.channels().any(|(_, topic, _)| topic == Topic::Estimate.name()) {
         return Err(LogError::NotOurs { path: path.to_owned() }.into());
     }
-    let cut = condition.summary().or(reader.undecoded);
+    let lacking: Vec<String> = condition.summary().into_iter().chain(reader.undecoded).collect();
+    let cut = (!lacking.is_empty()).then(|| lacking.join("; "));
     let Reader { clock, markers, frames, mut currents, reference, .. } = reader;
     leave_out_odd(&mut currents, path);
     let mut recording =

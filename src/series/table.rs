@@ -203,12 +203,23 @@ fn vector(sheet: &Sheet, row: &Row, columns: [usize; 3]) -> Result<Option<Vector
     }
 }
 
-/// Frame of reference from the `run.toml` beside one of our tables.
+/// Frame of reference from the `run.toml` beside one of our tables; `None` without one.
 fn reference(path: &Path) -> Option<OutputFrame> {
-    let text = std::fs::read_to_string(path.with_file_name("run.toml")).ok()?;
-    match text.parse::<toml::Table>().ok()?.get("frame")?.as_str()? {
-        "base" => Some(OutputFrame::Base),
-        "camera" => Some(OutputFrame::Camera),
-        _ => None,
+    let path = path.with_file_name("run.toml");
+    let read = match std::fs::read_to_string(&path) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
+        read => read.map_err(|error| error.to_string()),
+    };
+    let stated = read.and_then(|text| text.parse::<toml::Table>().map_err(|error| error.message().to_owned()));
+    match stated {
+        Ok(run) => match run.get("frame")?.as_str()? {
+            "base" => Some(OutputFrame::Base),
+            "camera" => Some(OutputFrame::Camera),
+            _ => None,
+        },
+        Err(why) => {
+            tracing::warn!("{}: cannot be read ({why}): the table may be in the camera's frame", path.display());
+            None
+        }
     }
 }

@@ -412,7 +412,8 @@ fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, Sour
     if let Some(picture) = names.iter().find(|n| missing.contains(n.as_str())) {
         return Err(SourceError::NotInTimes { path: table.to_path_buf(), picture: picture.clone() });
     }
-    let mut steps: Vec<f64> = rows.iter().zip(rows.iter().skip(1)).map(|((_, a), (_, b))| seconds(b - a)).collect();
+    let mut steps: Vec<f64> =
+        rows.iter().zip(rows.iter().skip(1)).map(|((_, a), (_, b))| seconds(b.saturating_sub(*a))).collect();
     steps.sort_unstable_by(f64::total_cmp);
     if let Some(step_s) = steps.get(steps.len() / 2).filter(|step_s| **step_s > SLOW_S) {
         let (table, column) = (table.display(), if in_ns { "stamp_ns is in nanoseconds" } else { "t_s is in seconds" });

@@ -155,7 +155,7 @@ impl LogWindows {
                 let mut row = self.rows.pop_front();
                 if let Some(row) = &mut row {
                     // Rows missing in the log are lost frames.
-                    let lacking = self.last.map_or(0, |last| row.seq.saturating_sub(last + 1));
+                    let lacking = self.last.map_or(0, |last| row.seq.saturating_sub(last.saturating_add(1)));
                     if let Some(last) = self.last.filter(|last| row.seq <= *last)
                         && !std::mem::replace(&mut self.restarts, true)
                     {

@@ -88,7 +88,7 @@ impl Messages {
     #[allow(unsafe_code, reason = "the binding does not offer this field")]
     pub(super) fn packet(&mut self, decoder: &mut av::decoder::Video, number: u64) {
         if self.packets.len() == REMEMBERED {
-            self.packets.pop_front();
+            self.packets.pop_front().and_then(|(key, _)| heard().remove(&key));
         }
         let key = NEXT.fetch_add(1, Relaxed);
         self.packets.push_back((key, number));

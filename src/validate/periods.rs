@@ -26,6 +26,11 @@ const SAME_DEG: f64 = 1.0;
 const SAME_PLACE: f64 = 0.02;
 /// A period smaller than this fraction of the largest is not one of the motion.
 const STILL: f64 = 0.5;
+/// Rounds in which the mean period and what differs from it are found: each leaves the part of the points that are
+/// missing.
+const ROUNDS: usize = 8;
+/// Up to this phase a shift is along the tangent.
+const ALIKE_DEG: f64 = 20.0;
 /// With fewer frames per period, interpolation is too coarse to compare periods.
 const FEWEST_FRAMES: f64 = 8.0;
 
@@ -36,11 +41,13 @@ struct Period {
     number: usize,
     /// From the mean period.
     phase_deg: f64,
+    /// Lag behind the mean period, points.
+    lag_points: f64,
     /// σ of a coordinate of its mean by the tracker's own noise, metres, where that is known.
     sd_m: Option<f64>,
     /// Root mean square distance of its points from their mean, metres.
     size_m: f64,
-    /// Its points minus those of the same commands in the mean period, on average, metres.
+    /// Its points minus those of the mean period, as late as this one, on average, metres.
     offset_m: Vector3<f64>,
 }
 
@@ -110,10 +117,20 @@ impl Periods {
         }
         // A σ of 0 says nothing.
         let sd_m = sd_m.filter(|sd_m| *sd_m > 0.0);
-        let usual = mean_period(means, length);
-        let periods = means.chunks_exact(length).enumerate();
-        let all: Vec<Period> =
-            periods.filter_map(|(at, means)| period(&usual, (skipped + at + 1, means), sd_m, frames)).collect();
+        // Where points are missing, the mean of a command is that of other periods, with their phases and middles.
+        let nothing = vec![None; means.len() / length];
+        let mut usual = mean_period(means, &vec![Point3::origin(); length], &nothing);
+        let mut all = nothing;
+        for _ in 0..ROUNDS {
+            let periods = means.chunks_exact(length).enumerate();
+            all = periods.map(|(at, means)| period(&usual, (skipped + at + 1, means), sd_m, frames)).collect();
+            let late = all.iter().flatten().map(|period| period.phase_deg.abs()).fold(0.0, f64::max);
+            if late > ALIKE_DEG {
+                break;
+            }
+            usual = mean_period(means, &usual, &all);
+        }
+        let all: Vec<Period> = all.into_iter().flatten().collect();
         let largest_m = all.iter().map(|period| period.size_m).fold(0.0, f64::max);
         let (moving, still): (Vec<Period>, Vec<Period>) =
             all.into_iter().partition(|period| period.size_m >= STILL * largest_m);
@@ -209,10 +226,18 @@ impl Changes {
     }
 }
 
-/// The mean of each command's points over all periods; where there are none, the one before.
-fn mean_period(means: &[Option<Mean>], length: usize) -> Vec<Point3<f64>> {
+/// The mean of each command's points over all periods, each without what it differs by from the mean so far; where
+/// there are none, the one before.
+fn mean_period(means: &[Option<Mean>], so_far: &[Point3<f64>], differ: &[Option<Period>]) -> Vec<Point3<f64>> {
+    let length = so_far.len();
     let of_command = |k: usize| {
-        let points: Vec<Vector3<f64>> = means.iter().skip(k).step_by(length).flatten().map(|mean| mean.value).collect();
+        let motion = per_point(so_far, k);
+        let there = means.iter().skip(k).step_by(length).zip(differ);
+        let alike = there.filter_map(|(mean, differs)| {
+            let differs = differs.as_ref().map_or_else(Vector3::zeros, |of| of.offset_m - motion * of.lag_points);
+            Some(mean.as_ref()?.value - differs)
+        });
+        let points: Vec<Vector3<f64>> = alike.collect();
         (!points.is_empty()).then(|| points.iter().sum::<Vector3<f64>>() / points.len() as f64)
     };
     let known: Vec<Option<Vector3<f64>>> = (0..length).map(of_command).collect();
@@ -222,6 +247,13 @@ fn mean_period(means: &[Option<Mean>], length: usize) -> Vec<Point3<f64>> {
         Point3::from(last)
     });
     filled.collect()
+}
+
+/// How far a periodic motion goes from one command to the next.
+fn per_point(period: &[Point3<f64>], k: usize) -> Vector3<f64> {
+    let length = period.len();
+    let at = |k: usize| period.get(k % length).copied().unwrap_or_default();
+    (at(k + 1) - at(k + length - 1)) / 2.0
 }
 
 /// One period; `None` if more than half of its points are missing.
@@ -241,13 +273,15 @@ fn period(
     let middle = there().map(|(_, mean)| mean.value).sum::<Vector3<f64>>() / count;
     let later = there().map(|(_, mean)| mean.later).sum::<f64>() / count;
     // Without any motion there is none; such a period does not count.
-    let lag = lag(usual, &points).map_or(0.0, |lag| lag.points);
+    let lag_points = lag(usual, &points).map_or(0.0, |lag| lag.points);
+    let offset = |(k, mean): (usize, &Mean)| Some(mean.value - usual.get(k)?.coords + per_point(usual, k) * lag_points);
     Some(Period {
         number,
-        phase_deg: -360.0 * (lag + later) / length as f64,
+        phase_deg: -360.0 * (lag_points + later) / length as f64,
+        lag_points,
         sd_m: sd_m.map(|sd_m| sd_m / (frames * count / length as f64).sqrt()),
         size_m: (there().map(|(_, mean)| (mean.value - middle).norm_squared()).sum::<f64>() / count).sqrt(),
-        offset_m: there().filter_map(|(k, mean)| Some(mean.value - usual.get(k)?.coords)).sum::<Vector3<f64>>() / count,
+        offset_m: there().filter_map(offset).sum::<Vector3<f64>>() / count,
     })
 }
 

@@ -232,7 +232,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         frames: inside.len(),
         frames_missed: inside.len() - inside.iter().filter(has_place).count(),
         frames_vetoed: inside.iter().filter(vetoed).count(),
-        frames_lost: inside.iter().skip(1).map(|frame| frame.gap).sum(),
+        frames_lost: inside.iter().skip(1).fold(0, |sum: u64, frame| sum.saturating_add(frame.gap)),
         left_out,
         alignment,
         rms_unaligned_m,

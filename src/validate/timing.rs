@@ -72,7 +72,8 @@ pub(super) fn timing<'a>(
     let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
     let pause_ns = (observed.pause_s * 1e9).round();
     if !(1.0..1e15).contains(&pause_ns) {
-        return Err(wrong(format!("a pause of {} s is not valid: it must be above 0", observed.pause_s)));
+        let must = if pause_ns < 1.0 { "above 0" } else { "below a million seconds" };
+        return Err(wrong(format!("a pause of {} s is not valid: it must be {must}", observed.pause_s)));
     }
     let pause_ns = pause_ns as i64;
     let by_ticks = match observed.start_ns {
@@ -190,5 +191,5 @@ fn marker(recording: &Recording, options: &Options) -> Result<usize, ValidateErr
 }
 
 fn span_s(samples: &[Sample]) -> f64 {
-    samples.first().zip(samples.last()).map_or(0.0, |(first, last)| seconds(last.0 - first.0))
+    samples.first().zip(samples.last()).map_or(0.0, |(first, last)| seconds(last.0.saturating_sub(first.0)))
 }
