@@ -43,7 +43,7 @@ pub use commands::Commands;
 pub use dynamics::{Accuracy, Moment, Simulation};
 pub use equilibrium::equilibrium;
 pub use error::CatheterError;
-pub use fit::{Check, Estimated, Fit, FitOptions, Open, Parameter, Pause, Run, check, fit};
+pub use fit::{Check, Estimated, Fit, FitOptions, Open, Parameter, Pause, Run, Wiring, check, fit};
 pub use follow::{Followed, Target, follow};
 pub use harmonic::{Harmonic, harmonics};
 pub use links::Energy;

@@ -73,7 +73,7 @@ pub(super) fn is_chunk(bytes: &[u8], left: u64) -> bool {
 fn is_footer(bytes: &[u8], left: u64) -> bool {
     let end = (HEAD + FOOTER) as usize..;
     let ends = left == HEAD + FOOTER + mcap::MAGIC.len() as u64
-        || bytes.get(end).is_some_and(|rest| rest.starts_with(&mcap::MAGIC));
+        || bytes.get(end).is_some_and(|rest| rest.starts_with(mcap::MAGIC));
     number(bytes, 1) == Some(FOOTER) && ends
 }
 

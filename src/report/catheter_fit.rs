@@ -162,6 +162,7 @@ mod tests {
             unsettled: 0,
             noise: Noise { point_m: 1e-5, angle_rad: 1e-3, missing: 0.0 },
             misfit: 1.0,
+            wiring: None,
             widened,
             in_motion: true,
         };

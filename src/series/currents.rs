@@ -193,9 +193,8 @@ impl CurrentTable {
             }
             (CurrentClock::Camera, _) => None,
             (CurrentClock::Start, None) => Some("t_s is taken for the camera's clock: no start was given".to_owned()),
-            (CurrentClock::Start, Some(start)) => {
-                Some(format!("t_s is counted from {} s of the camera's clock, as given", seconds(start)))
-            }
+            // As given.
+            (CurrentClock::Start, Some(_)) => None,
         }
     }
 }

@@ -25,6 +25,7 @@ mod error;
 mod lag;
 mod lead;
 mod lone;
+mod mean_motion;
 mod options;
 mod path;
 mod pauses;

@@ -2,8 +2,9 @@
 //!
 //! In: the observed points of the periods that count. Out: for each period its phase and the middle of its motion; how
 //! much the phase changes from one period to the next, on average (a line through all of them) and at most; and how far
-//! the middle moves. Phases are those of the lag behind the mean of all periods, not behind the path: a response has
-//! another shape than a path with several frequencies, and its lag would depend on which of its points are missing.
+//! the middle moves. Phases are those of the lag behind the motion that all periods have in common (`mean_motion.rs`), not
+//! behind the path: a response has another shape than a path with several frequencies, and its lag would depend on which
+//! of its points are missing.
 //!
 //! The commands of all periods are the same, so a steady response has one phase and one middle. A phase that changes
 //! evenly means that commands were held longer or shorter than assumed, or that one of the clocks is off; a single
@@ -14,6 +15,7 @@
 //! gives no σ, whether a change is more than noise: the notes then say so.
 
 use super::lag::{lag, unwrap};
+use super::mean_motion::{Shifted, align};
 use super::path::DesiredPath;
 use super::pauses::Mean;
 use nalgebra::{Point3, Vector3};
@@ -26,11 +28,6 @@ const SAME_DEG: f64 = 1.0;
 const SAME_PLACE: f64 = 0.02;
 /// A period smaller than this fraction of the largest is not one of the motion.
 const STILL: f64 = 0.5;
-/// Rounds in which the mean period and what differs from it are found: each leaves the part of the points that are
-/// missing.
-const ROUNDS: usize = 8;
-/// Up to this phase a shift is along the tangent.
-const ALIKE_DEG: f64 = 20.0;
 /// With fewer frames per period, interpolation is too coarse to compare periods.
 const FEWEST_FRAMES: f64 = 8.0;
 
@@ -41,13 +38,11 @@ struct Period {
     number: usize,
     /// From the mean period.
     phase_deg: f64,
-    /// Lag behind the mean period, points.
-    lag_points: f64,
     /// σ of a coordinate of its mean by the tracker's own noise, metres, where that is known.
     sd_m: Option<f64>,
     /// Root mean square distance of its points from their mean, metres.
     size_m: f64,
-    /// Its points minus those of the mean period, as late as this one, on average, metres.
+    /// From the common motion, metres.
     offset_m: Vector3<f64>,
 }
 
@@ -117,20 +112,13 @@ impl Periods {
         }
         // A σ of 0 says nothing.
         let sd_m = sd_m.filter(|sd_m| *sd_m > 0.0);
-        // Where points are missing, the mean of a command is that of other periods, with their phases and middles.
-        let nothing = vec![None; means.len() / length];
-        let mut usual = mean_period(means, &vec![Point3::origin(); length], &nothing);
-        let mut all = nothing;
-        for _ in 0..ROUNDS {
-            let periods = means.chunks_exact(length).enumerate();
-            all = periods.map(|(at, means)| period(&usual, (skipped + at + 1, means), sd_m, frames)).collect();
-            let late = all.iter().flatten().map(|period| period.phase_deg.abs()).fold(0.0, f64::max);
-            if late > ALIKE_DEG {
-                break;
-            }
-            usual = mean_period(means, &usual, &all);
-        }
-        let all: Vec<Period> = all.into_iter().flatten().collect();
+        let usual = mean_period(means, length);
+        let periods = means.chunks_exact(length).enumerate();
+        let (numbers, mut shifted): (Vec<usize>, Vec<Shifted>) =
+            periods.filter_map(|(at, means)| Some((skipped + at + 1, shifted(&usual, means)?))).unzip();
+        align(&mut shifted, length);
+        let all = numbers.into_iter().zip(&shifted);
+        let all: Vec<Period> = all.map(|(number, shifted)| period(number, shifted, length, sd_m, frames)).collect();
         let largest_m = all.iter().map(|period| period.size_m).fold(0.0, f64::max);
         let (moving, still): (Vec<Period>, Vec<Period>) =
             all.into_iter().partition(|period| period.size_m >= STILL * largest_m);
@@ -226,18 +214,10 @@ impl Changes {
     }
 }
 
-/// The mean of each command's points over all periods, each without what it differs by from the mean so far; where
-/// there are none, the one before.
-fn mean_period(means: &[Option<Mean>], so_far: &[Point3<f64>], differ: &[Option<Period>]) -> Vec<Point3<f64>> {
-    let length = so_far.len();
+/// The mean of each command's points over all periods; where there are none, the one before.
+fn mean_period(means: &[Option<Mean>], length: usize) -> Vec<Point3<f64>> {
     let of_command = |k: usize| {
-        let motion = per_point(so_far, k);
-        let there = means.iter().skip(k).step_by(length).zip(differ);
-        let alike = there.filter_map(|(mean, differs)| {
-            let differs = differs.as_ref().map_or_else(Vector3::zeros, |of| of.offset_m - motion * of.lag_points);
-            Some(mean.as_ref()?.value - differs)
-        });
-        let points: Vec<Vector3<f64>> = alike.collect();
+        let points: Vec<Vector3<f64>> = means.iter().skip(k).step_by(length).flatten().map(|mean| mean.value).collect();
         (!points.is_empty()).then(|| points.iter().sum::<Vector3<f64>>() / points.len() as f64)
     };
     let known: Vec<Option<Vector3<f64>>> = (0..length).map(of_command).collect();
@@ -249,40 +229,32 @@ fn mean_period(means: &[Option<Mean>], so_far: &[Point3<f64>], differ: &[Option<
     filled.collect()
 }
 
-/// How far a periodic motion goes from one command to the next.
-fn per_point(period: &[Point3<f64>], k: usize) -> Vector3<f64> {
-    let length = period.len();
-    let at = |k: usize| period.get(k % length).copied().unwrap_or_default();
-    (at(k + 1) - at(k + length - 1)) / 2.0
-}
-
-/// One period; `None` if more than half of its points are missing.
-fn period(
-    usual: &[Point3<f64>],
-    (number, means): (usize, &[Option<Mean>]),
-    sd_m: Option<f64>,
-    frames: f64,
-) -> Option<Period> {
-    let length = usual.len();
+/// The points of one period, and its lag behind the mean period as a start; `None` if more than half of them are
+/// missing.
+fn shifted(usual: &[Point3<f64>], means: &[Option<Mean>]) -> Option<Shifted> {
     let there = || means.iter().enumerate().filter_map(|(k, mean)| Some((k, mean.as_ref()?)));
     let points: Vec<(usize, Point3<f64>)> = there().map(|(k, mean)| (k, Point3::from(mean.value))).collect();
-    if 2 * points.len() < length {
+    if 2 * points.len() < usual.len() {
         return None;
     }
-    let count = points.len() as f64;
-    let middle = there().map(|(_, mean)| mean.value).sum::<Vector3<f64>>() / count;
-    let later = there().map(|(_, mean)| mean.later).sum::<f64>() / count;
+    let later = there().map(|(_, mean)| mean.later).sum::<f64>() / points.len() as f64;
     // Without any motion there is none; such a period does not count.
-    let lag_points = lag(usual, &points).map_or(0.0, |lag| lag.points);
-    let offset = |(k, mean): (usize, &Mean)| Some(mean.value - usual.get(k)?.coords + per_point(usual, k) * lag_points);
-    Some(Period {
+    let lag = later + lag(usual, &points).map_or(0.0, |lag| lag.points);
+    let points = there().map(|(k, mean)| (k as f64 + mean.later, mean.value)).collect();
+    Some(Shifted { points, lag, offset_m: Vector3::zeros() })
+}
+
+fn period(number: usize, shifted: &Shifted, length: usize, sd_m: Option<f64>, frames: f64) -> Period {
+    let Shifted { points, lag, offset_m } = shifted;
+    let count = points.len() as f64;
+    let middle = points.iter().map(|(_, point)| point).sum::<Vector3<f64>>() / count;
+    Period {
         number,
-        phase_deg: -360.0 * (lag_points + later) / length as f64,
-        lag_points,
+        phase_deg: -360.0 * lag / length as f64,
         sd_m: sd_m.map(|sd_m| sd_m / (frames * count / length as f64).sqrt()),
-        size_m: (there().map(|(_, mean)| (mean.value - middle).norm_squared()).sum::<f64>() / count).sqrt(),
-        offset_m: there().filter_map(offset).sum::<Vector3<f64>>() / count,
-    })
+        size_m: (points.iter().map(|(_, point)| (point - middle).norm_squared()).sum::<f64>() / count).sqrt(),
+        offset_m: *offset_m,
+    }
 }
 
 /// Slope of a line through the phases over the periods' numbers, and its σ where that is known, degrees per period;

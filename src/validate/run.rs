@@ -123,11 +123,25 @@ pub(crate) struct Run {
     pub scatter_m: Option<f64>,
     /// The tracker's σ of a coordinate, root mean square, metres.
     pub sd_m: Option<f64>,
-    /// What noise makes of the magnitude, in parts of it, and of the phase, radians: σ of both. The larger of what
-    /// `sd_m` gives and of what does not repeat.
+    /// What noise makes of the magnitude, in parts of it, and of the phase, radians: the larger of what `sd_m` gives and
+    /// of what does not repeat.
     pub response_sd: Option<f64>,
     /// Notes about this run for the reader.
     pub notes: Vec<String>,
+}
+
+impl Run {
+    /// σ of the magnitude, in parts of it: what noise makes of it, and by how much noise makes the motion too large.
+    pub(super) fn magnitude_sd(&self) -> Option<f64> {
+        let magnitude = self.magnitude?;
+        let coordinates = match magnitude.of {
+            Size::CircleRadius => 1.0,
+            Size::RmsSize => 3.0,
+        };
+        let frames_of_point = (self.pause_s / self.interval_s).max(1.0);
+        let too_large = coordinates * (self.sd_m? / magnitude.observed_m).powi(2) / (2.0 * frames_of_point);
+        Some(self.response_sd?.hypot(too_large))
+    }
 }
 
 /// Evaluates one run.

@@ -139,7 +139,7 @@ impl Row {
             gain_y: run.gain[1],
             gain_z: run.gain[2],
             magnitude_db: run.magnitude.map(|m| m.db),
-            magnitude_sd_db: run.response_sd.map(|sd| 20.0 * (1.0 + sd).log10()),
+            magnitude_sd_db: run.magnitude_sd().map(|sd| 20.0 * (1.0 + sd).log10()),
             magnitude_of: run.magnitude.map(|m| m.of.word()),
             observed_size_mm: run.magnitude.map(|m| mm(m.observed_m)),
             desired_size_mm: run.magnitude.map(|m| mm(m.desired_m)),

@@ -1,7 +1,7 @@
 //! What makes a fit doubtful: values that no catheter has, and residuals that are no noise.
 
 use super::parameter::Parameter;
-use super::{Check, Fit, Run};
+use super::{Check, Fit, Run, Wiring};
 use crate::catheter::dynamics::Moment;
 use crate::catheter::record::Sighting;
 
@@ -9,6 +9,8 @@ use crate::catheter::record::Sighting;
 const SIGNIFICANT_SD: f64 = 4.0;
 /// Residuals beyond the noise by this factor mean a model that is wrong.
 const LARGE_MISFIT: f64 = 1.5;
+/// Noise of means that is larger than that of frames by more than this is slow.
+const SLOW: f64 = 1.2;
 /// A coil set is hardly mounted further from where the catheter's file has it, degrees.
 const TURNED_DEG: f64 = 45.0;
 /// Residuals along the tube are the same throughout a run when their mean is more than so many times their scatter.
@@ -63,14 +65,34 @@ impl Fit {
                  currents is which coil (--coils), and has one another sign?"
             )
         });
-        let misfit = (self.misfit > LARGE_MISFIT).then(|| {
+        // What is slow has several times its effect on means: a pause is too short to tell how much.
+        let slow = if self.in_motion { 1.0 } else { self.widened };
+        let misfit = (self.misfit > LARGE_MISFIT * slow).then(|| {
             format!(
                 "residuals are {:.1} times the noise, so that something else than the values is wrong: which column \
-                 is which coil (--coils)? Are the currents in A, is B0 right, and is the base frame that of the run?",
-                self.misfit
+                 is which coil (--coils), and has one another sign? Are currents in A and places in mm, is B0 right, is \
+                 the base frame that of the run{}?",
+                self.misfit,
+                match self.in_motion {
+                    true => {
+                        ", do camera and currents have one clock, and does the amplifier follow at once (a lag counts \
+                         as damping and delay)"
+                    }
+                    false if slow > SLOW => ", and is the noise slower than a pause",
+                    false => "",
+                }
             )
         });
-        [early, turned, misfit].into_iter().flatten().collect()
+        let wiring = self.wiring.as_ref().map(Wiring::to_string);
+        let unsettled = (self.unsettled > self.pauses.len()).then(|| {
+            format!(
+                "{} of {} pauses had not come to rest: are the times of the currents right (--start)? If so, lengthen \
+                 --settle",
+                self.unsettled,
+                self.unsettled + self.pauses.len()
+            )
+        });
+        [early, turned, misfit, wiring, unsettled].into_iter().flatten().collect()
     }
 }
 
@@ -96,6 +118,7 @@ mod tests {
                 unsettled: 0,
                 noise: Noise { point_m: 1e-5, angle_rad: 1e-3, missing: 0.0 },
                 misfit,
+                wiring: None,
                 widened: 1.0,
                 in_motion: true,
             };

@@ -6,7 +6,8 @@
 //!
 //! 1. Pauses in which the catheter came to rest give the noise (differences from frame to frame, taken for white; not
 //!    less than the tracker states, as a coder repeats the pictures of what rests, with their errors) and, by the
-//!    boundary value problem of the rod, what shapes at rest depend on.
+//!    boundary value problem of the rod, what shapes at rest depend on. Noise that is slow is larger in their means: the
+//!    halves of pauses tell how much.
 //! 2. From there, everything is fitted to all frames by the catheter in motion.
 //!
 //! After each step the eigenvectors of the information tell what is left open (`search.rs`); the parameter that has the
@@ -25,6 +26,7 @@ mod search;
 mod still;
 #[cfg(test)]
 mod tests;
+mod wiring;
 
 use super::commands::Commands;
 use super::dynamics::{Accuracy, Moment};
@@ -37,8 +39,12 @@ pub use parameter::Parameter;
 pub use search::Open;
 use search::{Found, least_determined, minimise};
 pub use still::Pause;
-use still::Still;
+use still::{AtRest, Still};
+pub use wiring::Wiring;
+use wiring::misfit_of;
 
+/// Shapes at rest that leave this much of the noise are tried with other orders and signs of the currents.
+const OTHER_WIRING: f64 = 5.0;
 /// σ that are larger by more than this for the noise's colour are told with that.
 const WIDENED_REPORTED: f64 = 1.2;
 
@@ -75,6 +81,13 @@ pub struct FitOptions {
     pub accuracy: Accuracy,
     /// What the tracker says of itself: noise where no pause shows more.
     pub stated_noise: Option<Noise>,
+}
+
+impl FitOptions {
+    /// Those of the parameters that shapes at rest depend on.
+    fn parameters_at_rest(&self) -> Vec<Parameter> {
+        self.parameters.iter().copied().filter(|parameter| parameter.is_static()).collect()
+    }
 }
 
 /// A value with its standard deviation, SI units.
@@ -126,6 +139,8 @@ pub struct Fit {
     pub noise: Noise,
     /// √(χ²/n): 1 when residuals are as large as the noise.
     pub misfit: f64,
+    /// Another order or other signs of the currents, with which shapes at rest would fit.
+    pub wiring: Option<Wiring>,
     /// How much larger σ are because residuals of successive frames are alike, at most; 1 when they are not.
     pub widened: f64,
     /// Whether motion was used.
@@ -170,11 +185,14 @@ fn wrong(what: &str) -> CatheterError {
 pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions) -> Result<Fit, CatheterError> {
     // 1. shapes at rest
     let stated = options.stated_noise.unwrap_or(Noise::NONE);
-    let (pauses, unsettled, scatter) = still::pauses(runs, options.settle_s, delay_s, &stated);
-    let noise = match (scatter, options.stated_noise) {
-        (Some((point_m, angle_rad)), _) if point_m > 0.0 && angle_rad > 0.0 => {
-            Noise { point_m: point_m.max(stated.point_m), angle_rad: angle_rad.max(stated.angle_rad), missing: 0.0 }
-        }
+    let AtRest { pauses, unsettled, of_frames, of_means } = still::pauses(runs, options.settle_s, delay_s, &stated);
+    let larger = |a: Noise, b: Noise| Noise {
+        point_m: a.point_m.max(b.point_m),
+        angle_rad: a.angle_rad.max(b.angle_rad),
+        missing: 0.0,
+    };
+    let noise = match (of_frames, options.stated_noise) {
+        (Some(scatter), _) if scatter.point_m > 0.0 && scatter.angle_rad > 0.0 => larger(scatter, stated),
         (_, Some(stated)) => stated,
         _ => {
             return Err(wrong(
@@ -182,6 +200,7 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
             ));
         }
     };
+    let of_means = of_means.map_or(noise, |of_means| larger(of_means, noise));
     let mut catheter = catheter.clone();
     let mut open = Vec::new();
     let (mut wanted, moving): (Vec<Parameter>, Vec<_>) = options.parameters.iter().partition(|p| p.is_static());
@@ -189,13 +208,22 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
         return Err(wrong("none of the parameters shows in a shape at rest: they need the motion too"));
     }
     let mut found = None;
+    let mut wiring = None;
     if !pauses.is_empty() && !wanted.is_empty() {
         let start = catheter.clone();
+        let otherwise =
+            |misfit| Wiring::better(&start, &options.parameters_at_rest(), (runs, &pauses), of_means, misfit);
         // What shapes at rest leave open, the motion may tell.
         let result = determined(&mut wanted, options.only_still.then_some(&mut open), |parameters| {
-            let model = Still::new(&start, parameters, (runs, &pauses), noise);
+            let model = Still::new(&start, parameters, (runs, &pauses), of_means);
             minimise(parameters, &model, start_of(&start, delay_s, parameters))
+        });
+        let result = result.map_err(|why| match otherwise(f64::INFINITY) {
+            Some(wiring) => wrong(&format!("{why}; {wiring}")),
+            None => why,
         })?;
+        let misfit = misfit_of(&result, wanted.len());
+        wiring = (misfit > OTHER_WIRING).then(|| otherwise(misfit)).flatten();
         catheter = with(&start, delay_s, &wanted, &result.coordinates).0;
         found = Some((start, wanted.clone(), result));
     }
@@ -203,7 +231,8 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
         let (start, parameters, result) = found.ok_or_else(|| wrong("no pause is long enough for a shape at rest"))?;
         // Shapes at rest tell nothing of these.
         open.extend(moving.into_iter().map(|parameter| Open { parameter, with: Vec::new() }));
-        return Ok(result_of(&start, delay_s, &parameters, result, &[], (pauses, unsettled, noise, open, false)));
+        let fit = result_of(&start, delay_s, &parameters, result, &[], (pauses, unsettled, noise, open, false));
+        return Ok(Fit { wiring, widened: of_means.point_m / noise.point_m, ..fit });
     }
     // 2. motion
     let frames: usize = runs.iter().map(|run| run.sightings.len()).sum();
@@ -227,7 +256,7 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
     if let Some(alignment) = fit.estimated.iter_mut().find(|e| e.parameter == Parameter::Alignment) {
         alignment.value += turned;
     }
-    Ok(fit)
+    Ok(Fit { wiring, ..fit })
 }
 
 /// Fits, leaves out what is not determined, and fits again. What is left out goes to `open`.
@@ -266,8 +295,7 @@ fn result_of(
 ) -> Fit {
     let (catheter, delay_s) = with(start, delay_s, parameters, &found.coordinates);
     let count = parameters.len();
-    let free = found.residuals.len().saturating_sub(count).max(1);
-    let misfit = (found.residuals.norm_squared() / free as f64).sqrt();
+    let misfit = misfit_of(&found, count);
     // Determined: the information has an inverse.
     let inverse = found.information.clone().cholesky().map(|c| c.inverse());
     let covariance = inverse.unwrap_or_else(|| DMatrix::zeros(count, count));
@@ -285,7 +313,20 @@ fn result_of(
     let correlation =
         DMatrix::from_fn(count, count, |i, j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt());
     let widened = widening.into_iter().fold(1.0, f64::max).sqrt();
-    Fit { catheter, delay_s, estimated, correlation, open, pauses, unsettled, noise, misfit, widened, in_motion }
+    Fit {
+        catheter,
+        delay_s,
+        estimated,
+        correlation,
+        open,
+        pauses,
+        unsettled,
+        noise,
+        misfit,
+        wiring: None,
+        widened,
+        in_motion,
+    }
 }
 
 /// What a catheter makes of a run, and how far off that is.

@@ -13,6 +13,9 @@ const DETERMINED_INFORMATION: f64 = 25.0;
 /// What has a share of at least this in a direction is named with it.
 const NAMED_SHARE: f64 = 0.4;
 const MAX_STEPS: usize = 25;
+/// After so many steps what the data determine is near its end: along what they do not determine a search goes on for
+/// long.
+const EARLY_STEPS: usize = 4;
 /// A step that promises to lower the sum of squares by less than this is the last; where residuals are larger than the
 /// noise, by less than this times their mean square, as σ are wider by that too.
 const COST_TOLERANCE: f64 = 1e-3;
@@ -83,7 +86,8 @@ pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: 
     loop {
         let by = jacobian(parameters, model, &at, residuals.len())?;
         let information = by.tr_mul(&by);
-        if steps == MAX_STEPS {
+        let is_open = || least_determined(parameters, &information).is_some();
+        if steps == MAX_STEPS || steps >= EARLY_STEPS && is_open() {
             return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: false });
         }
         let gradient = -by.tr_mul(&residuals);

@@ -38,33 +38,65 @@ pub struct Pause {
 /// A frame in which all is seen.
 struct Seen {
     time_s: f64,
-    coil: Vector3<f64>,
-    tip: Vector3<f64>,
-    tangent: Vector3<f64>,
+    /// Coil, tip and direction.
+    all: [Vector3<f64>; 3],
 }
 
 impl Seen {
     fn of(s: &Sighting) -> Option<Self> {
-        Some(Self { time_s: s.time_s, coil: s.coil?.coords, tip: s.tip?.coords, tangent: s.tangent? })
+        Some(Self { time_s: s.time_s, all: [s.coil?.coords, s.tip?.coords, s.tangent?] })
     }
 }
 
-fn mean(seen: &[Seen], of: fn(&Seen) -> Vector3<f64>) -> Vector3<f64> {
-    seen.iter().map(of).sum::<Vector3<f64>>() / seen.len() as f64
+fn mean(seen: &[Seen]) -> [Vector3<f64>; 3] {
+    [0, 1, 2].map(|k| seen.iter().map(|seen| seen.all[k]).sum::<Vector3<f64>>() / seen.len() as f64)
 }
 
-/// Pauses of all runs that last longer than `settle_s`, and the noise in them: (σ of a coordinate, metres; σ of a
-/// direction about one axis, radians). What differs by no more than the noise that the tracker states has settled.
-pub(super) fn pauses(
-    runs: &[Run],
-    settle_s: f64,
-    delay_s: f64,
-    stated: &Noise,
-) -> (Vec<Pause>, usize, Option<(f64, f64)>) {
+/// What pauses show.
+pub(super) struct AtRest {
+    pub(super) pauses: Vec<Pause>,
+    /// Pauses that are long enough, but had not come to rest.
+    pub(super) unsettled: usize,
+    /// Noise of a frame, by the differences of successive ones.
+    pub(super) of_frames: Option<Noise>,
+    /// Noise of a frame that would be as large in a pause's mean if it were white, by the differences of halves.
+    pub(super) of_means: Option<Noise>,
+}
+
+/// Squares of differences that noise alone makes, and how many.
+#[derive(Default)]
+struct Squares {
+    points: (f64, f64),
+    angles: (f64, f64),
+}
+
+impl Squares {
+    /// `pairs` of coil, tip and direction whose differences are `times` as large in their squares as those of noise.
+    fn add<'a>(&mut self, pairs: impl Iterator<Item = [&'a [Vector3<f64>; 3]; 2]>, times: f64) {
+        for [a, b] in pairs {
+            let square = |k: usize| (b[k] - a[k]).norm_squared() / times;
+            self.points = (self.points.0 + square(0) + square(1), self.points.1 + 6.0);
+            self.angles = (self.angles.0 + square(2), self.angles.1 + 2.0);
+        }
+    }
+
+    fn add_all(&mut self, other: &Self) {
+        self.points = (self.points.0 + other.points.0, self.points.1 + other.points.1);
+        self.angles = (self.angles.0 + other.angles.0, self.angles.1 + other.angles.1);
+    }
+
+    fn noise(&self) -> Option<Noise> {
+        let sd = |(squares, count): (f64, f64)| (count > 0.0).then(|| (squares / count).sqrt());
+        Some(Noise { point_m: sd(self.points)?, angle_rad: sd(self.angles)?, missing: 0.0 })
+    }
+}
+
+/// Pauses of all runs that last longer than `settle_s`, and the noise in them. What differs by no more than the noise
+/// that the tracker states has settled.
+pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) -> AtRest {
     let mut pauses = Vec::new();
     let mut unsettled = 0;
-    // Squares and degrees of freedom of places and of directions.
-    let mut sums = (0.0, 0.0, 0.0, 0.0);
+    let (mut of_frames, mut of_means) = (Squares::default(), Squares::default());
     for (index, run) in runs.iter().enumerate() {
         let last_s = run.sightings.last().map_or(0.0, |s| s.time_s);
         let (first_s, _) = run.commands.span_s();
@@ -79,24 +111,20 @@ pub(super) fn pauses(
                 continue;
             }
             let n = seen.len() as f64;
-            let half = seen.len() / 2;
-            let (coil, tip, tangent) = (mean(&seen, |s| s.coil), mean(&seen, |s| s.tip), mean(&seen, |s| s.tangent));
             // Noise by differences from frame to frame: what still creeps is none.
-            let pairs = || seen.iter().zip(seen.iter().skip(1));
-            let squares: f64 =
-                pairs().map(|(a, b)| (b.coil - a.coil).norm_squared() + (b.tip - a.tip).norm_squared()).sum::<f64>()
-                    / 2.0;
-            let sd_m = (squares / (6.0 * (n - 1.0))).sqrt().max(stated.point_m);
-            let (early, late) = seen.split_at(half);
-            let apart = (mean(early, |s| s.tip) - mean(late, |s| s.tip)).norm();
+            let mut own = Squares::default();
+            own.add(seen.iter().zip(seen.iter().skip(1)).map(|(a, b)| [&a.all, &b.all]), 2.0);
+            let sd_m = own.noise().map_or(0.0, |noise| noise.point_m).max(stated.point_m);
+            let (early, late) = seen.split_at(seen.len() / 2);
+            let halves = [mean(early), mean(late)];
+            let apart = (halves[0][1] - halves[1][1]).norm();
             if apart > UNSETTLED.0 * sd_m * 2.0 / n.sqrt() && apart > UNSETTLED.1 * sd_m {
                 unsettled += 1;
                 continue;
             }
-            sums.0 += squares;
-            sums.1 += 6.0 * (n - 1.0);
-            sums.2 += pairs().map(|(a, b)| (b.tangent - a.tangent).norm_squared()).sum::<f64>() / 2.0;
-            sums.3 += 2.0 * (n - 1.0);
+            of_frames.add_all(&own);
+            of_means.add(std::iter::once([&halves[0], &halves[1]]), 4.0 / n);
+            let [coil, tip, tangent] = mean(&seen);
             pauses.push(Pause {
                 run: index,
                 from_s: seen.first().map_or(0.0, |s| s.time_s),
@@ -108,8 +136,7 @@ pub(super) fn pauses(
             });
         }
     }
-    let scatter = (sums.1 > 0.0).then(|| ((sums.0 / sums.1).sqrt(), (sums.2 / sums.3).sqrt()));
-    (pauses, unsettled, scatter)
+    AtRest { pauses, unsettled, of_frames: of_frames.noise(), of_means: of_means.noise() }
 }
 
 /// The shapes of pauses as a model has them.

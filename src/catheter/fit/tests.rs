@@ -229,3 +229,24 @@ fn a_run_is_fitted_by_the_places_of_its_bands() {
     let doubt = doubt.unwrap();
     assert!(fit.misfit > 10.0 && doubt.contains("in all frames alike the coil is seen -"), "{doubt}");
 }
+
+#[test]
+fn a_coil_that_is_reversed_is_told_from_the_shapes_at_rest() {
+    let mut catheter = Catheter::prototype();
+    catheter.tube.young_pa = 6.1e6;
+    catheter.tube.shear_pa = 2.1e6;
+    let levels = [[0.0, 40.0, 60.0], [0.0, -40.0, 60.0], [30.0, 40.0, -60.0], [30.0, -40.0, -50.0], [20.0, 0.0, 50.0]];
+    let fine = Accuracy { longest_link_m: 1e-3, ..accuracy() };
+    let run = experiment((catheter.clone(), 0.0), &levels, fine, 3);
+    let still = FitOptions { only_still: true, accuracy: fine, ..options(&[Parameter::Young, Parameter::Shear]) };
+    let told = |run: Run| match fit(&Catheter::prototype(), 0.0, &[run], &still) {
+        Ok(fit) => fit.doubts().join("\n"),
+        Err(why) => why.to_string(),
+    };
+    assert_eq!(told(run.clone()), "");
+    let mut reversed = run;
+    let rows = levels.iter().enumerate().map(|(k, [x, y, z])| (1.0 + 4.0 * k as f64, Vector3::new(*x, -y, *z) * 1e-3));
+    reversed.commands = Commands::new(&catheter, rows).unwrap();
+    let told = told(reversed);
+    assert!(told.contains("driven by the currents x, −y, z,"), "{told}");
+}

@@ -278,7 +278,9 @@ impl FitArgs {
             let _ = writeln!(text, "  {} had not come to rest: lengthen --settle", plural(fit.unsettled, "pause"));
         }
         let _ = writeln!(text, "\n  RMS            tip      coil       θ");
-        for (check, word) in own.iter().map(|c| (c, "fitted")).chain(other.iter().map(|c| (c, "not fitted"))) {
+        // Also of frames between the pauses, to which nothing was fitted then.
+        let word_own = if fit.in_motion { "fitted" } else { "all frames" };
+        for (check, word) in own.iter().map(|c| (c, word_own)).chain(other.iter().map(|c| (c, "not fitted"))) {
             let (tip, coil, theta) = (check.tip_rms_m * 1e3, check.coil_rms_m * 1e3, check.theta_rms_rad.to_degrees());
             let _ = writeln!(text, "  {word:<10} {tip:.3} mm  {coil:.3} mm  {theta:.3}°  {}", check.name);
         }

@@ -1,0 +1,136 @@
+//! The motion that several periods have in common, and how each of them differs from it in time and place.
+//!
+//! In: the points of each period, and where in it they are; some may be missing. Out: the lag and the offset of each
+//! period, from a mean that is the same for all.
+//!
+//! Method. The common motion is a Fourier series through the points of all periods, each without its own lag and
+//! offset; those are found from it by least squares, in turns. A mean of the points of each command would not do: where
+//! points are missing it is that of other periods, with their lags, and it has the noise of the period that is compared
+//! with it, which draws lags towards 0.
+
+use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
+use std::f64::consts::TAU;
+
+/// Most harmonics of the common motion; a path of few points has fewer.
+const HARMONICS: usize = 10;
+/// Rounds in turns.
+const ROUNDS: usize = 8;
+
+/// A period: its points, and where it lies from the common motion.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Shifted {
+    /// Where in the period, in commands, and places, metres.
+    pub(super) points: Vec<(f64, Vector3<f64>)>,
+    /// In points; positive: late.
+    pub(super) lag: f64,
+    /// Metres.
+    pub(super) offset_m: Vector3<f64>,
+}
+
+/// Improves lags and offsets of periods of `length` commands.
+pub(super) fn align(periods: &mut [Shifted], length: usize) {
+    for _ in 0..ROUNDS {
+        let Some(motion) = Motion::through(periods, length) else { return };
+        periods.iter_mut().for_each(|period| motion.shift(period));
+    }
+}
+
+/// A Fourier series over a period.
+struct Motion {
+    per_point: f64,
+    /// Coefficients of 1, and of cos and sin of each harmonic; for x, y, z.
+    coefficients: DMatrix<f64>,
+}
+
+impl Motion {
+    /// `None` where the points do not determine it.
+    fn through(periods: &[Shifted], length: usize) -> Option<Self> {
+        let terms = 1 + 2 * (length / 4).clamp(1, HARMONICS);
+        let per_point = TAU / length as f64;
+        let (mut normal, mut right) = (DMatrix::zeros(terms, terms), DMatrix::zeros(terms, 3));
+        for Shifted { points, lag, offset_m } in periods {
+            for (k, point) in points {
+                let row = waves(terms, (k - lag) * per_point);
+                normal.ger(1.0, &row, &row, 1.0);
+                right.ger(1.0, &row, &(point - offset_m), 1.0);
+            }
+        }
+        Some(Self { per_point, coefficients: normal.cholesky()?.solve(&right) })
+    }
+
+    /// The place at an angle of the period, and its change per point.
+    fn at(&self, angle: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let terms = self.coefficients.nrows();
+        let row = waves(terms, angle);
+        let slopes = DVector::from_fn(terms, |i, _| match i {
+            0 => 0.0,
+            i if i % 2 == 1 => -((i / 2 + 1) as f64) * row[i + 1],
+            i => (i / 2) as f64 * row[i - 1],
+        });
+        let sum = |by: &DVector<f64>| Vector3::from_fn(|axis, _| self.coefficients.column(axis).dot(by));
+        (sum(&row), sum(&slopes) * self.per_point)
+    }
+
+    /// One step of Gauss and Newton for the lag and the offset.
+    fn shift(&self, period: &mut Shifted) {
+        let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+        for (k, point) in &period.points {
+            let (place, slope) = self.at((k - period.lag) * self.per_point);
+            let left = point - period.offset_m - place;
+            for axis in 0..3 {
+                let mut row = Vector4::zeros();
+                row[axis] = 1.0;
+                row[3] = -slope[axis];
+                normal += row * row.transpose();
+                right += row * left[axis];
+            }
+        }
+        let Some(step) = normal.cholesky().map(|normal| normal.solve(&right)) else { return };
+        period.offset_m += step.xyz();
+        period.lag += step.w;
+    }
+}
+
+/// 1, and cos and sin of the multiples of an angle.
+fn waves(terms: usize, angle: f64) -> DVector<f64> {
+    DVector::from_fn(terms, |i, _| match i {
+        0 => 1.0,
+        i if i % 2 == 1 => ((i / 2 + 1) as f64 * angle).cos(),
+        i => ((i / 2) as f64 * angle).sin(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::random::Random;
+
+    /// Four periods of 200 points with other lags and middles; a fifth of the points is missing.
+    #[test]
+    fn lags_and_offsets_are_found_whatever_is_missing() {
+        let (length, radius) = (200, 10.0);
+        let place = |x: f64| {
+            let t = TAU * x / length as f64;
+            Vector3::new(radius * t.cos(), radius * t.sin(), (2.0 * t).sin())
+        };
+        let mut random = Random::new(5);
+        let shifts = [(0.0, 0.0), (2.0, 0.3), (4.1, -0.2), (6.2, 0.1)];
+        let mut periods: Vec<Shifted> = shifts
+            .iter()
+            .map(|(lag, offset)| Shifted {
+                points: (0..length)
+                    .filter(|_| random.uniform() > 0.2)
+                    .map(|k| (k as f64, place(k as f64 - lag) + Vector3::repeat(*offset)))
+                    .collect(),
+                lag: 0.0,
+                offset_m: Vector3::zeros(),
+            })
+            .collect();
+        align(&mut periods, length);
+        for (period, (lag, offset)) in periods.iter().zip(shifts) {
+            let (lag_off, offset_off) = (period.lag - periods[0].lag - lag, period.offset_m - periods[0].offset_m);
+            assert!(lag_off.abs() < 1e-3, "{lag}: {}", period.lag);
+            assert!((offset_off - Vector3::repeat(offset)).amax() < 1e-3, "{offset}: {offset_off}");
+        }
+    }
+}
