@@ -78,8 +78,15 @@ pub(in crate::cli) fn summary(
         let TickTally { seen, changes, level: (low, high), .. } = ticks;
         let (changed, frames) = (plural(*changes, "change"), plural(*seen, "frame"));
         writeln!(out, "\n  tick       {changed} in {frames}, brightness {low:.0} to {high:.0} of 255")?;
-        if *changes == 0 {
-            let at = ticks.spot();
+        let at = ticks.spot();
+        if *changes == 0 && 2 * *seen < tally.frames {
+            let unseen = plural(tally.frames - seen, "frame");
+            writeln!(
+                out,
+                "the lamp at {at} is not in {unseen}: a log with windows keeps only what was looked at when it was \
+                 written"
+            )?;
+        } else if *changes == 0 {
             writeln!(
                 out,
                 "the lamp at {at} never changed: is it there (--tick-led x,y,r; the overlay shows the disc), does it \

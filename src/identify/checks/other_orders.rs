@@ -7,7 +7,7 @@
 use crate::identify::checks::follows_input;
 use crate::identify::checks::whitened_simulation::Whitened;
 use crate::identify::data::segments::Segment;
-use crate::identify::estimate::estimated::{Estimated, Refined};
+use crate::identify::estimate::estimated::Refined;
 use crate::identify::estimate::initial_models::initial_models;
 use crate::identify::estimate::output_error;
 use crate::identify::estimate::shortest_delay::Delayed;
@@ -64,11 +64,12 @@ pub(in crate::identify) fn compared(training: &[Segment], found: &[Refined]) -> 
     let variance = |refined: &&Refined| refined.estimated.noise_variance;
     let nearest = found.iter().min_by(|a, b| variance(a).total_cmp(&variance(b)));
     let colour = nearest.and_then(|refined| follows_input::colour(training, &refined.estimated.model));
-    let tried = |refined: &Refined| {
-        let Estimated { model, samples, noise_variance, .. } = &refined.estimated;
-        let whitened = colour.as_ref().and_then(|colour| Whitened::of(training, model, &[], colour));
-        let as_white = *samples as f64 * noise_variance.ln();
-        Tried { refined: refined.clone(), deviance: whitened.map_or(as_white, |whitened| whitened.deviance()) }
-    };
-    found.iter().map(tried).collect()
+    let whitened = |refined: &Refined| Whitened::of(training, &refined.estimated.model, &[], colour.as_ref()?);
+    let of_colour: Option<Vec<f64>> = found.iter().map(|found| Some(whitened(found)?.deviance())).collect();
+    // Deviances of both kinds cannot be compared.
+    let deviances = of_colour.unwrap_or_else(|| {
+        let as_white = |found: &Refined| found.estimated.samples as f64 * found.estimated.noise_variance.ln();
+        found.iter().map(as_white).collect()
+    });
+    found.iter().cloned().zip(deviances).map(|(refined, deviance)| Tried { refined, deviance }).collect()
 }
