@@ -223,7 +223,9 @@ impl FitArgs {
         let rows = commands
             .iter()
             .map(|(ns, values)| (since_zero_s(*ns), Vector3::from(coils.map(|column| value(values, column)))));
-        let commands = Commands::new(catheter, rows).map_err(|e| wrong(&e.to_string()))?;
+        let of_currents = table.map_or(file, PathBuf::as_path).display();
+        let commands = Commands::new(catheter, rows)
+            .map_err(|e| Failure::usage(format!("{of_currents}: {e}; are the currents in amperes?")))?;
         let sightings: Vec<Sighting> = recording
             .frames
             .iter()
