@@ -48,6 +48,21 @@ fn written(estimate: &Estimate) -> String {
 }
 
 #[test]
+fn a_log_brings_the_lamp_that_was_watched() {
+    let place = Place::new();
+    let options = ["--to", "0.3", "--record", "windows", "--tick-led", "110,110,6"];
+    ended_with(&place.track(&sample("planar.mkv"), &options), 0);
+    let again = std::process::Command::new(env!("CARGO_BIN_EXE_catoptra"))
+        .current_dir(place.folder.path())
+        .args(["track", "out/log.mcap", "-o", "again"])
+        .output()
+        .unwrap();
+    ended_with(&again, 0);
+    let (first, again) = (place.table().rows, Table::read(&place.path("again/track.csv")).rows);
+    assert!(first[0].contains_key("tick") && first == again, "{first:?}\n{again:?}");
+}
+
+#[test]
 fn what_lies_outside_of_what_was_looked_at_changes_nothing() {
     for name in ["planar.mkv", "circle.mkv"] {
         let mut source = recording(name, 250_000_000);
