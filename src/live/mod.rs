@@ -73,7 +73,7 @@ const RECOVERY: Duration = Duration::from_secs(5);
 /// Where the rows of a live run go.
 #[derive(Default)]
 pub struct Outputs {
-    /// Files. When all of them have failed and nobody else listens, the run ends.
+    /// Files. When all of them have failed but pages ([`Sink::writes_at_once`]), and nobody else listens, the run ends.
     pub files: Vec<Box<dyn Sink + Send>>,
     /// Controllers: sinks that never wait, served by the tracker's own thread.
     pub controllers: Vec<Box<dyn Sink + Send>>,

@@ -94,6 +94,8 @@ impl Log {
     pub(super) fn start(sinks: Vec<Box<dyn Sink + Send>>) -> io::Result<(Self, JoinHandle<Written>)> {
         let (entries, line) = sync_channel(MAX_ROWS);
         let at_once = sinks.iter().filter(|sink| sink.writes_at_once()).count();
+        // Of pages alone none can fail before the end.
+        let at_once = if at_once == 0 { sinks.len() } else { at_once };
         let backlog = Arc::new(Backlog { sinks_alive: AtomicUsize::new(at_once), ..Backlog::default() });
         let shared = Arc::clone(&backlog);
         let thread = Builder::new().name("log".to_owned()).spawn(move || write_all(sinks, &line, &shared))?;

@@ -72,7 +72,8 @@ pub(super) fn is_chunk(bytes: &[u8], left: u64) -> bool {
 
 fn is_footer(bytes: &[u8], left: u64) -> bool {
     let end = (HEAD + FOOTER) as usize..;
-    let ends = left == HEAD + FOOTER + mcap::MAGIC.len() as u64
+    // The magic behind it may be cut off.
+    let ends = (HEAD + FOOTER..=HEAD + FOOTER + mcap::MAGIC.len() as u64).contains(&left)
         || bytes.get(end).is_some_and(|rest| rest.starts_with(mcap::MAGIC));
     number(bytes, 1) == Some(FOOTER) && ends
 }

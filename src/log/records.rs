@@ -20,6 +20,8 @@ use std::path::{Path, PathBuf};
 
 /// Most damaged places listed; further ones are counted.
 const MAX_LISTED: usize = 100;
+/// So many heads in a row are no chance.
+const MANY: usize = 100;
 /// Metadata record that a repair adds, and its key for what was lost.
 pub(super) const REPAIR: &str = "catoptra.repair";
 pub(super) const LOST: &str = "lost";
@@ -192,7 +194,7 @@ impl Records {
             Found::Record(op::DATA_END, body) => self.check_data(at, &body),
             Found::Record(op::FOOTER, body) => self.finish(at, &body)?,
             Found::Record(code, body) => match parsed(code, &body) {
-                Some(record) if is_whole_attachment(&record, body.len()) || !self.go_on_within(at)? => {
+                Some(_) if !self.go_on_within(at)? => {
                     self.unchecked |= code == op::MESSAGE;
                     self.opened.push_back((code, body));
                 }
@@ -226,12 +228,39 @@ impl Records {
         Ok(())
     }
 
-    /// If the record at `at` that was just read has swallowed a chunk, goes on there.
+    /// If the record at `at` that was just read has swallowed a chunk, goes on there. One that records follow is as long
+    /// as it says: it may hold anything, a log too.
     fn go_on_within(&mut self, at: u64) -> io::Result<bool> {
+        if self.records_follow()? {
+            return Ok(false);
+        }
         let Some(chunk) = self.search(at + 1..self.at, is_chunk)? else { return Ok(false) };
         self.at = chunk;
         self.checksum = None;
         Ok(true)
+    }
+
+    /// Whether there are records from here on: up to a chunk, to the end of the data or of the log, or very many.
+    fn records_follow(&mut self) -> io::Result<bool> {
+        let mut at = self.at;
+        for _ in 0..MANY {
+            let telling = self.telling(at)?;
+            let left = self.length.saturating_sub(at);
+            match heads::read(&telling, left) {
+                _ if is_plausible(&telling, left) => return Ok(true),
+                Head::Record(_, length) if length > 0 => at += HEAD + length,
+                _ => return Ok(false),
+            }
+        }
+        Ok(true)
+    }
+
+    /// The first bytes of a record.
+    fn telling(&mut self, at: u64) -> io::Result<Vec<u8>> {
+        self.seek_to(at)?;
+        let mut telling = Vec::new();
+        (&mut self.file).take(TELLING).read_to_end(&mut telling)?;
+        Ok(telling)
     }
 
     /// Reads the record at the current position.
@@ -240,9 +269,7 @@ impl Records {
         if left == 0 {
             return Ok(Found::End(Some(NO_INDEX.to_owned())));
         }
-        self.seek_to(self.at)?;
-        let mut telling = Vec::new();
-        (&mut self.file).take(TELLING).read_to_end(&mut telling)?;
+        let telling = self.telling(self.at)?;
         let (code, length, chunk) = match heads::read(&telling, left) {
             Head::Record(code, length) => (code, length, None),
             Head::Chunk { length, mended } => (op::CHUNK, length, Some(mended)),
@@ -337,7 +364,7 @@ impl Records {
         let sound = self.check_summary(at, footer)?;
         let is_told = self.condition.damage.iter().any(|damage| damage.loses_messages);
         if let Some(counted) = self.counted.filter(|counted| sound && !is_told && *counted > self.messages) {
-            self.damaged(at, format!("{counted} messages were written, {} are there", self.messages));
+            self.damaged(at, format!("the index counts {counted} messages, {} are there", self.messages));
         } else if !self.data_ended && self.condition.damage.is_empty() {
             self.damaged_without_loss(at, "the end of the data is not marked");
         }
@@ -409,14 +436,6 @@ impl Records {
 /// A record, unless invalid. (The library panics on an attachment that is too short for its checksum.)
 fn parsed(code: u8, body: &[u8]) -> Option<Record<'_>> {
     catch_panic(|| mcap::parse_record(code, body).ok()).flatten()
-}
-
-/// Whether it is an attachment, whose checksum is right, and of this length. (It may hold anything, a log too.)
-fn is_whole_attachment(record: &Record<'_>, length: usize) -> bool {
-    // Two times, three lengths, and the checksum.
-    const OTHERS: usize = 8 + 8 + 4 + 4 + 8 + 4;
-    matches!(record, Record::Attachment { header, data, .. }
-        if OTHERS + header.name.len() + header.media_type.len() + data.len() == length)
 }
 
 /// A chunk that was opened.

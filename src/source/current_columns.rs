@@ -81,27 +81,27 @@ impl CurrentColumns {
     }
 }
 
-/// The unit in a name that is not amperes: `coil_mA`, `coil [mA] 2`, `I_uA_meas`, `coil_milliamps`, `theta_deg`. The
-/// first word alone is a name.
+/// The unit in a name that is not amperes: `coil_mA`, `coil [mA] 2`, `I_uA_meas`, `coil_milliamps`, and at its end
+/// `theta_deg`. The first word alone is a name.
 fn other_unit(name: &str) -> Option<&'static str> {
-    let words = name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());
-    words.enumerate().find_map(|(place, word)| {
-        let lower = word.to_lowercase();
-        match lower.as_str() {
-            _ if lower.starts_with("milliamp") => Some("milliamperes"),
-            _ if lower.starts_with("microamp") => Some("microamperes"),
-            _ if place == 0 => None,
-            "ma" => Some("milliamperes"),
-            "ua" | "µa" | "μa" => Some("microamperes"),
-            "deg" => Some("degrees"),
-            "rad" => Some("radians"),
-            "mm" => Some("millimetres"),
-            "mv" => Some("millivolts"),
-            "volt" | "volts" => Some("volts"),
-            "mt" => Some("milliteslas"),
-            "hz" => Some("hertz"),
-            _ => None,
-        }
+    let words: Vec<String> =
+        name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).map(str::to_lowercase).collect();
+    let of_current = words.iter().enumerate().find_map(|(place, word)| match word.as_str() {
+        word if word.starts_with("milliamp") => Some("milliamperes"),
+        word if word.starts_with("microamp") => Some("microamperes"),
+        "ma" if place > 0 => Some("milliamperes"),
+        "ua" | "µa" | "μa" if place > 0 => Some("microamperes"),
+        _ => None,
+    });
+    of_current.or_else(|| match words.last().filter(|_| words.len() > 1)?.as_str() {
+        "deg" => Some("degrees"),
+        "rad" => Some("radians"),
+        "mm" => Some("millimetres"),
+        "mv" => Some("millivolts"),
+        "volt" | "volts" => Some("volts"),
+        "mt" => Some("milliteslas"),
+        "hz" => Some("hertz"),
+        _ => None,
     })
 }
 

@@ -73,7 +73,7 @@ fn add_row(row: &[u8], block: usize, inner: Range<usize>, shown: &mut [u64]) {
     }
 }
 
-/// A checksum and some bytes more: other bytes give another sum, but for one case in 2⁶⁴.
+/// A checksum and some bytes more: other samples practically always give another sum.
 #[inline(always)]
 fn with(sum: u64, bytes: &[u8]) -> u64 {
     // An odd number without a pattern: 2⁶⁴ over the golden ratio.

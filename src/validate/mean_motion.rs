@@ -12,19 +12,32 @@ use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
 use std::f64::consts::TAU;
 
 /// Most harmonics of the common motion; a path of few points has fewer.
-const HARMONICS: usize = 10;
+const HARMONICS: usize = 50;
+/// Points per harmonic, of all periods together, at least.
+const POINTS: usize = 8;
 /// Rounds in turns.
 const ROUNDS: usize = 8;
 
 /// A period: its points, and where it lies from the common motion.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Shifted {
+    /// Its number, from 1, with those left out at the beginning.
+    pub(super) number: usize,
     /// Where in the period, in commands, and places, metres.
     pub(super) points: Vec<(f64, Vector3<f64>)>,
     /// In points; positive: late.
     pub(super) lag: f64,
     /// Metres.
     pub(super) offset_m: Vector3<f64>,
+}
+
+impl Shifted {
+    /// Root mean square distance of its points from their mean, metres.
+    pub(super) fn size_m(&self) -> f64 {
+        let count = self.points.len() as f64;
+        let middle = self.points.iter().map(|(_, point)| point).sum::<Vector3<f64>>() / count;
+        (self.points.iter().map(|(_, point)| (point - middle).norm_squared()).sum::<f64>() / count).sqrt()
+    }
 }
 
 /// Improves lags and offsets of periods of `length` commands.
@@ -45,10 +58,11 @@ struct Motion {
 impl Motion {
     /// `None` where the points do not determine it.
     fn through(periods: &[Shifted], length: usize) -> Option<Self> {
-        let terms = 1 + 2 * (length / 4).clamp(1, HARMONICS);
+        let points: usize = periods.iter().map(|period| period.points.len()).sum();
+        let terms = 1 + 2 * (length / 4).min(points / POINTS).clamp(1, HARMONICS);
         let per_point = TAU / length as f64;
         let (mut normal, mut right) = (DMatrix::zeros(terms, terms), DMatrix::zeros(terms, 3));
-        for Shifted { points, lag, offset_m } in periods {
+        for Shifted { points, lag, offset_m, .. } in periods {
             for (k, point) in points {
                 let row = waves(terms, (k - lag) * per_point);
                 normal.ger(1.0, &row, &row, 1.0);
@@ -118,6 +132,7 @@ mod tests {
         let mut periods: Vec<Shifted> = shifts
             .iter()
             .map(|(lag, offset)| Shifted {
+                number: 0,
                 points: (0..length)
                     .filter(|_| random.uniform() > 0.2)
                     .map(|k| (k as f64, place(k as f64 - lag) + Vector3::repeat(*offset)))

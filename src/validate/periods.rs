@@ -114,14 +114,12 @@ impl Periods {
         let sd_m = sd_m.filter(|sd_m| *sd_m > 0.0);
         let usual = mean_period(means, length);
         let periods = means.chunks_exact(length).enumerate();
-        let (numbers, mut shifted): (Vec<usize>, Vec<Shifted>) =
-            periods.filter_map(|(at, means)| Some((skipped + at + 1, shifted(&usual, means)?))).unzip();
-        align(&mut shifted, length);
-        let all = numbers.into_iter().zip(&shifted);
-        let all: Vec<Period> = all.map(|(number, shifted)| period(number, shifted, length, sd_m, frames)).collect();
-        let largest_m = all.iter().map(|period| period.size_m).fold(0.0, f64::max);
-        let (moving, still): (Vec<Period>, Vec<Period>) =
-            all.into_iter().partition(|period| period.size_m >= STILL * largest_m);
+        let all: Vec<Shifted> = periods.filter_map(|(at, means)| shifted(&usual, skipped + at + 1, means)).collect();
+        let largest_m = all.iter().map(Shifted::size_m).fold(0.0, f64::max);
+        let (mut moving, still): (Vec<Shifted>, Vec<Shifted>) =
+            all.into_iter().partition(|period| period.size_m() >= STILL * largest_m);
+        align(&mut moving, length);
+        let moving = moving.iter().map(|shifted| period(shifted, length, sd_m, frames)).collect();
         Some(Self { changes: Changes::of(moving), still: still.iter().map(|period| period.number).collect() })
     }
 
@@ -231,7 +229,7 @@ fn mean_period(means: &[Option<Mean>], length: usize) -> Vec<Point3<f64>> {
 
 /// The points of one period, and its lag behind the mean period as a start; `None` if more than half of them are
 /// missing.
-fn shifted(usual: &[Point3<f64>], means: &[Option<Mean>]) -> Option<Shifted> {
+fn shifted(usual: &[Point3<f64>], number: usize, means: &[Option<Mean>]) -> Option<Shifted> {
     let there = || means.iter().enumerate().filter_map(|(k, mean)| Some((k, mean.as_ref()?)));
     let points: Vec<(usize, Point3<f64>)> = there().map(|(k, mean)| (k, Point3::from(mean.value))).collect();
     if 2 * points.len() < usual.len() {
@@ -241,19 +239,17 @@ fn shifted(usual: &[Point3<f64>], means: &[Option<Mean>]) -> Option<Shifted> {
     // Without any motion there is none; such a period does not count.
     let lag = later + lag(usual, &points).map_or(0.0, |lag| lag.points);
     let points = there().map(|(k, mean)| (k as f64 + mean.later, mean.value)).collect();
-    Some(Shifted { points, lag, offset_m: Vector3::zeros() })
+    Some(Shifted { number, points, lag, offset_m: Vector3::zeros() })
 }
 
-fn period(number: usize, shifted: &Shifted, length: usize, sd_m: Option<f64>, frames: f64) -> Period {
-    let Shifted { points, lag, offset_m } = shifted;
-    let count = points.len() as f64;
-    let middle = points.iter().map(|(_, point)| point).sum::<Vector3<f64>>() / count;
+fn period(shifted: &Shifted, length: usize, sd_m: Option<f64>, frames: f64) -> Period {
+    let there = shifted.points.len() as f64 / length as f64;
     Period {
-        number,
-        phase_deg: -360.0 * lag / length as f64,
-        sd_m: sd_m.map(|sd_m| sd_m / (frames * count / length as f64).sqrt()),
-        size_m: (points.iter().map(|(_, point)| (point - middle).norm_squared()).sum::<f64>() / count).sqrt(),
-        offset_m: *offset_m,
+        number: shifted.number,
+        phase_deg: -360.0 * shifted.lag / length as f64,
+        sd_m: sd_m.map(|sd_m| sd_m / (frames * there).sqrt()),
+        size_m: shifted.size_m(),
+        offset_m: shifted.offset_m,
     }
 }
 

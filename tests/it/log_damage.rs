@@ -126,6 +126,25 @@ fn a_changed_bit_in_a_head_costs_its_chunk_at_most_and_what_it_costs_is_told() {
     println!("{cost} of the bits cost a chunk");
 }
 
+/// A log in a private record, and one in a message outside chunks, are none of ours.
+#[test]
+fn a_log_within_a_log_is_not_entered() {
+    let (_folder, path, bytes, whole) = written();
+    let inner = bytes.clone();
+    let records = top_level(&bytes);
+    let (_, at, _) = records.iter().filter(|(code, ..)| *code == CHUNK).nth(3).unwrap();
+    let mut private = vec![0x80];
+    private.extend((inner.len() as u64).to_le_bytes());
+    private.extend(&inner);
+    let mut with = bytes.clone();
+    with.splice(at..at, private);
+    std::fs::write(&path, &with).unwrap();
+    let read = Recording::read(&path).unwrap();
+    assert_eq!(read.frames.len(), whole.frames.len());
+    let condition = Info::read(&path).unwrap().condition;
+    assert!(condition.damage.iter().all(|damage| !damage.loses_messages), "{condition:?}");
+}
+
 /// Messages outside chunks have no checksum of their own.
 #[test]
 fn of_messages_without_checksums_none_is_said_to_be_right() {
@@ -176,6 +195,18 @@ fn what_lies_behind_a_hole_is_saved() {
         assert!(printed.contains(&lost) && !printed.contains("complete"), "{printed}");
         assert!(Info::read(&path).unwrap().condition.is_whole());
         assert_eq!(repair(&path).unwrap(), Repaired::WasWhole);
+    }
+}
+
+#[test]
+fn a_log_that_lacks_its_last_bytes_lacks_no_message() {
+    let (_folder, path, bytes, whole) = written();
+    for cut in [1, 5, 8] {
+        std::fs::write(&path, &bytes[..bytes.len() - cut]).unwrap();
+        assert!(matches!(repair(&path).unwrap(), Repaired::Mended { .. }));
+        let mended = Recording::read(&path).unwrap();
+        assert!(mended.cut.is_none() && mended.frames == whole.frames, "{cut}: {:?}", mended.cut);
+        std::fs::remove_file(path.with_extension("mcap.bak")).unwrap();
     }
 }
 

@@ -232,7 +232,8 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
         // Shapes at rest tell nothing of these.
         open.extend(moving.into_iter().map(|parameter| Open { parameter, with: Vec::new() }));
         let fit = result_of(&start, delay_s, &parameters, result, &[], (pauses, unsettled, noise, open, false));
-        return Ok(Fit { wiring, widened: of_means.point_m / noise.point_m, ..fit });
+        let widened = if noise.point_m > 0.0 { of_means.point_m / noise.point_m } else { 1.0 };
+        return Ok(Fit { wiring, widened, ..fit });
     }
     // 2. motion
     let frames: usize = runs.iter().map(|run| run.sightings.len()).sum();

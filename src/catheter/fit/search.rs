@@ -13,9 +13,9 @@ const DETERMINED_INFORMATION: f64 = 25.0;
 /// What has a share of at least this in a direction is named with it.
 const NAMED_SHARE: f64 = 0.4;
 const MAX_STEPS: usize = 25;
-/// After so many steps what the data determine is near its end: along what they do not determine a search goes on for
-/// long.
-const EARLY_STEPS: usize = 4;
+/// After so many steps what the data determine is at its end, or near: along what they do not determine a search goes on
+/// for long.
+const STEPS_WHILE_OPEN: usize = 8;
 /// A step that promises to lower the sum of squares by less than this is the last; where residuals are larger than the
 /// noise, by less than this times their mean square, as σ are wider by that too.
 const COST_TOLERANCE: f64 = 1e-3;
@@ -87,7 +87,7 @@ pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: 
         let by = jacobian(parameters, model, &at, residuals.len())?;
         let information = by.tr_mul(&by);
         let is_open = || least_determined(parameters, &information).is_some();
-        if steps == MAX_STEPS || steps >= EARLY_STEPS && is_open() {
+        if steps == MAX_STEPS || steps >= STEPS_WHILE_OPEN && is_open() {
             return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: false });
         }
         let gradient = -by.tr_mul(&residuals);

@@ -12,6 +12,8 @@ use nalgebra::{DVector, Point3, Vector3};
 
 /// Fewer frames than this say nothing of their scatter.
 const MIN_FRAMES: usize = 5;
+/// Halves of fewer pauses than this say nothing of slow noise.
+const MIN_PAUSES: usize = 3;
 /// A pause whose halves differ by more than so many σ of the difference, and by more than this part of the scatter, has
 /// not settled.
 const UNSETTLED: (f64, f64) = (5.0, 0.5);
@@ -59,7 +61,8 @@ pub(super) struct AtRest {
     pub(super) unsettled: usize,
     /// Noise of a frame, by the differences of successive ones.
     pub(super) of_frames: Option<Noise>,
-    /// Noise of a frame that would be as large in a pause's mean if it were white, by the differences of halves.
+    /// Noise of a frame that would be as large in a pause's mean if it were white, by the differences of halves; `None`
+    /// for too few pauses.
     pub(super) of_means: Option<Noise>,
 }
 
@@ -136,7 +139,8 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) 
             });
         }
     }
-    AtRest { pauses, unsettled, of_frames: of_frames.noise(), of_means: of_means.noise() }
+    let of_means = of_means.noise().filter(|_| pauses.len() >= MIN_PAUSES);
+    AtRest { pauses, unsettled, of_frames: of_frames.noise(), of_means }
 }
 
 /// The shapes of pauses as a model has them.

@@ -12,7 +12,8 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::fmt;
 
-/// Others must leave this part of the residuals at most.
+/// Others must fit, and leave this part of the residuals at most.
+const FITS: f64 = 5.0;
 const CLEARLY_LESS: f64 = 1.0 / 3.0;
 /// So many are fitted: those that are nearest without.
 const FITTED: usize = 3;
@@ -65,7 +66,7 @@ impl Wiring {
         let least = tried.iter().map(|tried| tried.misfit).fold(f64::INFINITY, f64::min);
         let good = tried.into_iter().filter(|tried| tried.misfit <= AS_GOOD * least);
         let simplest = good.min_by_key(Self::changes);
-        simplest.filter(|_| least < CLEARLY_LESS * misfit)
+        simplest.filter(|_| least < FITS.min(CLEARLY_LESS * misfit))
     }
 
     /// How many of the coils are driven otherwise.

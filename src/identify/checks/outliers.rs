@@ -16,7 +16,9 @@ const MOST_OUTLYING: f64 = 0.03;
 /// Fewest values at a limit, and their number over that of the values next to it: a sine in coarse steps has 2.4.
 const MIN_AT_LIMIT: usize = 10;
 const MORE_THAN_NEXT: usize = 5;
-/// How far the model must be from them on average, over the RMS of its residual.
+/// An output that came back to a value so often was not at rest there.
+const OFTEN: usize = 5;
+/// How far the model must be from them, over the RMS of its residual.
 const ELSEWHERE: f64 = 0.5;
 
 /// Values of one record that are far from their neighbours.
@@ -93,28 +95,28 @@ pub(super) fn limit(model: Option<&Polynomials>, record: &Record) -> Option<(usi
             }
             Some((count, value))
         };
-        let ((last, value), (next, _)) = (count()?, count()?);
-        (last >= MIN_AT_LIMIT && last >= MORE_THAN_NEXT * next).then_some((last, value))
+        let ((last, value), (next, next_value)) = (count()?, count()?);
+        let is_limit = || model.is_none_or(|model| is_elsewhere(model, record, value, (next_value - value).abs()));
+        (last >= MIN_AT_LIMIT && last >= MORE_THAN_NEXT * next && is_limit()).then_some((last, value))
     };
-    let is_elsewhere =
-        |(_, value): &(usize, f64)| model.is_none_or(|model| mean_off(model, record, *value) > ELSEWHERE);
-    at_end(&mut sorted.iter().rev().copied())
-        .filter(is_elsewhere)
-        .or_else(|| at_end(&mut sorted.iter().copied()).filter(is_elsewhere))
+    at_end(&mut sorted.iter().rev().copied()).or_else(|| at_end(&mut sorted.iter().copied()))
 }
 
-/// How far the model is from the outputs of this value on average, over the RMS of its residual.
-fn mean_off(model: &Polynomials, record: &Record, value: f64) -> f64 {
+/// Whether the model is elsewhere in most samples of this value, farther than the next value is: by more than where it
+/// is right, or the output came back there often, to which a model adapts. At rest it is there once, or a few times.
+fn is_elsewhere(model: &Polynomials, record: &Record, value: f64, to_next: f64) -> bool {
     let left = record.segments.iter().flat_map(|segment| {
         let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
         segment.output.iter().copied().zip(modelled).map(|(y, m)| (y, y - m)).collect::<Vec<_>>()
     });
     let left: Vec<(f64, f64)> = left.filter(|(_, left)| !left.is_nan()).collect();
-    let mean = |sum: f64, count: usize| sum / count.max(1) as f64;
-    let rms = mean(left.iter().map(|(_, left)| left * left).sum(), left.len()).sqrt();
-    let (sum, count) =
-        left.iter().filter(|(y, _)| *y == value).fold((0.0, 0), |(sum, count), (_, left)| (sum + left, count + 1));
-    mean(sum, count).abs() / rms
+    let rms = |left: &[f64]| (left.iter().map(|v| v * v).sum::<f64>() / left.len().max(1) as f64).sqrt();
+    let there: Vec<f64> = left.iter().filter(|(y, _)| *y == value).map(|(_, left)| *left).collect();
+    let is_there: Vec<bool> = left.iter().map(|(y, _)| *y == value).collect();
+    let visits = is_there.windows(2).filter(|pair| pair[1] && !pair[0]).count();
+    let all: Vec<f64> = left.into_iter().map(|(_, left)| left).collect();
+    let far = there.iter().filter(|left| left.abs() > to_next).count();
+    2 * far > there.len() && (rms(&there) > ELSEWHERE * rms(&all) || visits >= OFTEN)
 }
 
 #[cfg(test)]
@@ -163,6 +165,17 @@ mod tests {
         let (count, value) = found(|_, y| y.min(0.6)).unwrap();
         assert!(count > 100 && value == 0.6, "{count}");
         assert!(found(|_, y| y.max(-0.6)).is_some());
+        // A model that was fitted to it goes through it on average.
+        let (model, clipped) = record(|_, y| y.clamp(-0.6, 0.6));
+        let weaker = Polynomials { b: vec![0.085], ..model.clone() };
+        assert!(limit(Some(&weaker), &clipped).is_some());
+        // Two levels, to which the output goes and is clipped: a fast model of less gain is right there.
+        let input: Vec<f64> = (0..2000).map(|t| if t / 60 % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let output = model.simulate(&input).into_iter().map(|y| y.clamp(-0.5, 0.5)).collect();
+        let fast = Polynomials { a: vec![1.0, -0.8], b: vec![0.1], nk: 1 };
+        let segment = Segment { input, output, from_rest: true, ..Segment::default() };
+        let record = Record { name: "r".to_owned(), segments: vec![segment] };
+        assert!(limit(Some(&fast), &record).is_some());
         assert!(found(|t, y| if t % 100 == 7 { -999.0 } else { y }).is_some());
     }
 

@@ -4,6 +4,7 @@ use super::super::listener::Listener;
 use super::delays::Delays;
 use super::sequence::Sequence;
 use super::{POLL_INTERVAL, STOP_POLL_INTERVAL};
+use crate::plural::plural;
 use crate::sink::CurrentSample;
 use crate::source::current_columns::{CurrentColumns, TimeColumn};
 use crate::source::host::HostClock;
@@ -411,9 +412,9 @@ impl Parser {
         });
         let not_later = (self.not_later > 0).then(|| {
             format!(
-                "{} rows have a time that is not later than that of the row before: give all digits of the time, and \
-                 the rows in their order",
-                self.not_later
+                "the time of {} is not later than that of the row before: give all digits of the time, and the rows in \
+                 their order",
+                plural(self.not_later, "row")
             )
         });
         silent.into_iter().chain(untimely).chain(not_later).chain(self.delays.doubt()).collect()
@@ -512,7 +513,7 @@ mod tests {
         table.take(format!("{now},0.1").as_bytes());
         assert!(table.doubts().is_empty(), "{:?}", table.doubts());
         table.take(format!("{now},0.2").as_bytes());
-        assert!(table.doubts().concat().contains("1 rows have a time that is not later"), "{:?}", table.doubts());
+        assert!(table.doubts().concat().contains("the time of 1 row is not later"), "{:?}", table.doubts());
         table.take(format!("{},0.1", now + 1_000_000_000).as_bytes());
         assert!(table.delays.is_ahead());
     }
