@@ -171,8 +171,9 @@ mod tests {
         assert!(limit(Some(&weaker), &clipped).is_some());
         // Two levels, to which the output goes and is clipped: a fast model of less gain is right there.
         let input: Vec<f64> = (0..2000).map(|t| if t / 60 % 2 == 0 { 1.0 } else { -1.0 }).collect();
-        let output = model.simulate(&input).into_iter().map(|y| y.clamp(-0.5, 0.5)).collect();
-        let fast = Polynomials { a: vec![1.0, -0.8], b: vec![0.1], nk: 1 };
+        let noisy = model.simulate(&input).into_iter().zip(noise(2, 2000)).map(|(y, e)| y + 0.01 * e);
+        let output = noisy.map(|y| y.clamp(-0.5, 0.5)).collect();
+        let fast = Polynomials { a: vec![1.0, -0.8], b: vec![0.105], nk: 1 };
         let segment = Segment { input, output, from_rest: true, ..Segment::default() };
         let record = Record { name: "r".to_owned(), segments: vec![segment] };
         assert!(limit(Some(&fast), &record).is_some());
