@@ -18,6 +18,7 @@
 mod delays;
 mod followed;
 mod parser;
+mod sample;
 mod sequence;
 
 pub(crate) use parser::currents_of;

@@ -1,15 +1,16 @@
-//! From bytes to samples of currents: lines, rows of tables, messages; and what to say of those that are none.
+//! From bytes to samples of currents: datagrams, lines, rows of tables, messages; and what to say of those that are none,
+//! or odd.
 
 use super::super::listener::Listener;
 use super::delays::Delays;
+use super::sample::{columns, has_decimal_commas, sample};
 use super::sequence::Sequence;
 use super::{POLL_INTERVAL, STOP_POLL_INTERVAL};
 use crate::plural::plural;
 use crate::sink::CurrentSample;
 use crate::source::current_columns::{CurrentColumns, TimeColumn};
 use crate::source::host::HostClock;
-use crate::source::times::{parse_seconds_ns, seconds};
-use serde::Deserialize;
+use crate::source::times::seconds;
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
 use std::net::{SocketAddr, UdpSocket};
@@ -17,36 +18,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 
-/// Coils at most; more in a line is no sample.
-const MAX_COILS: usize = 64;
 /// A sample further from its arrival is not of this run.
 const MAX_SAMPLE_AGE_NS: i64 = 60_000_000_000;
 /// Senders that are counted apart.
 const MAX_SENDERS: usize = 64;
 /// Longest header, bytes.
 const LONGEST_HEADER: u64 = 1 << 16;
-
-/// The columns of a table with this first line.
-fn columns(line: &str) -> Result<CurrentColumns, String> {
-    let line = line.trim_start_matches('\u{feff}').trim();
-    let names: Vec<&str> = line.split(',').map(str::trim).collect();
-    match CurrentColumns::of(&names) {
-        Ok(CurrentColumns { times: TimeColumn::StampNs, .. }) => Err("times of the camera (stamp_ns) are not known \
-             before its frames: give host_ns (nanoseconds since 1970), unix_s (seconds since 1970) or t_s (seconds \
-             since the run began)"
-            .to_owned()),
-        Ok(columns) => Ok(columns),
-        Err(problem) => Err(format!("the first line, `{line}`, {problem}")),
-    }
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Json {
-    current_a: Vec<f64>,
-    seq: Option<u64>,
-    host_ns: Option<i64>,
-}
 
 /// Where in a line the first byte is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -421,52 +398,13 @@ impl Parser {
     }
 
     fn sample(&self, bytes: &[u8], arrival_ns: i64) -> Option<CurrentSample> {
-        let text = std::str::from_utf8(bytes).ok()?.trim();
-        let sample = match (&self.columns, text.starts_with('{')) {
-            (None, true) => {
-                let Json { current_a, seq, host_ns } = serde_json::from_str(text).ok()?;
-                CurrentSample { host_ns: host_ns.unwrap_or(arrival_ns), arrival_ns, seq, current_a }
-            }
-            // `0,4; 0,2` are two currents, not four.
-            (None, false) if has_decimal_commas(text) => return None,
-            (None, false) => {
-                let numbers = text.split([',', ';', ' ', '\t']).filter(|cell| !cell.is_empty());
-                let current_a = numbers.map(|cell| cell.parse().ok()).collect::<Option<_>>()?;
-                CurrentSample { host_ns: arrival_ns, arrival_ns, seq: None, current_a }
-            }
-            (Some(columns), _) => {
-                let cells: Vec<&str> = text.split(',').map(str::trim).collect();
-                if cells.len() != columns.width {
-                    return None;
-                }
-                let time = cells.get(columns.time)?;
-                let host_ns = match columns.times {
-                    TimeColumn::HostNs => time.parse().ok()?,
-                    TimeColumn::UnixSeconds => parse_seconds_ns(time)?,
-                    TimeColumn::StartSeconds => self.clock.started_ns().saturating_add(parse_seconds_ns(time)?),
-                    TimeColumn::StampNs => return None,
-                };
-                let currents = columns.coils.iter().map(|column| cells.get(*column)?.parse().ok());
-                let current_a = currents.collect::<Option<_>>()?;
-                CurrentSample { host_ns, arrival_ns, seq: None, current_a }
-            }
-        };
-        let sound = (1..=MAX_COILS).contains(&sample.current_a.len()) && sample.current_a.iter().all(|a| a.is_finite());
-        sound.then_some(sample)
+        sample(bytes, self.columns.as_ref(), arrival_ns, self.clock.started_ns())
     }
 }
 
 /// Whether the time of a sample is near that of its arrival.
 fn is_timely(sample: &CurrentSample) -> bool {
     sample.host_ns.abs_diff(sample.arrival_ns) <= MAX_SAMPLE_AGE_NS.unsigned_abs()
-}
-
-/// Whether a comma in a line of bare numbers is a decimal one: something else stands between the currents.
-fn has_decimal_commas(line: &str) -> bool {
-    let line = line.trim();
-    let within = |bytes: &[u8]| matches!(bytes, [a, b',', b] if a.is_ascii_digit() && b.is_ascii_digit());
-    let blanks = || line.contains([' ', '\t']) && !line.contains('.') && line.as_bytes().windows(3).any(within);
-    !line.starts_with('{') && line.contains(',') && (line.contains(';') || blanks())
 }
 
 /// Takes bytes for datagrams, and for lines of tables.
@@ -491,16 +429,6 @@ mod tests {
     fn parser(columns: Option<CurrentColumns>) -> (Parser, Receiver<CurrentSample>) {
         let (samples, line) = sync_channel(16);
         (Parser { columns, ..Parser::new("test".to_owned(), HostClock::start(), samples, 10.0) }, line)
-    }
-
-    #[test]
-    fn samples_as_json_and_as_bare_numbers() {
-        let (parser, _line) = parser(None);
-        let of = |text: &str| parser.sample(text.as_bytes(), 99);
-        let full = of(r#"{"current_a":[0.1,-0.2],"seq":7,"host_ns":5}"#).unwrap();
-        assert_eq!(full, CurrentSample { host_ns: 5, arrival_ns: 99, seq: Some(7), current_a: vec![0.1, -0.2] });
-        let bare = of(" 0.1, 0 -3e-2\n").unwrap();
-        assert_eq!(bare, CurrentSample { host_ns: 99, arrival_ns: 99, seq: None, current_a: vec![0.1, 0.0, -0.03] });
     }
 
     #[test]
@@ -620,15 +548,6 @@ mod tests {
     }
 
     /// A further column of times is no coil, and a row without all cells no sample.
-    #[test]
-    fn rows_of_a_table_have_its_columns() {
-        let (parser, _line) = parser(columns("host_ns,t_s,i1,i2").ok());
-        let of = |text: &str| parser.sample(text.as_bytes(), 99);
-        let full = of("5,0.1,0.3,-0.4").unwrap();
-        assert_eq!((full.host_ns, full.current_a), (5, vec![0.3, -0.4]));
-        assert_eq!((of("5,0.1,0.3"), of("5,0.1,0.3,-0.4,0.5")), (None, None));
-    }
-
     /// A device that sends all the time, opened within a line.
     #[test]
     fn the_rest_of_a_line_is_no_sample() {
@@ -682,11 +601,5 @@ mod tests {
         let (mut parser, line) = parser(None);
         ["0.1, 0.2", "0.3", "0.4, 0.5"].iter().for_each(|text| parser.take(text.as_bytes()));
         assert_eq!((parser.coils, parser.other_coils, line.try_iter().count()), (Some(2), 1, 3));
-    }
-
-    #[test]
-    fn headers_name_times_and_coils() {
-        assert_eq!(columns("\u{feff}unix_s, i1\r\n").map(|columns| (columns.time, columns.coils)), Ok((0, vec![1])));
-        assert!(columns("stamp_ns,i1").unwrap_err().contains("host_ns"));
     }
 }
