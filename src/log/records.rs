@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 /// Most damaged places listed; further ones are counted.
 const MAX_LISTED: usize = 100;
 /// So many heads in a row are no chance.
-const MANY: usize = 100;
+const IN_A_ROW: usize = 3;
 /// Metadata record that a repair adds, and its key for what was lost.
 pub(super) const REPAIR: &str = "catoptra.repair";
 pub(super) const LOST: &str = "lost";
@@ -240,10 +240,11 @@ impl Records {
         Ok(true)
     }
 
-    /// Whether there are records from here on: up to a chunk, to the end of the data or of the log, or very many.
+    /// Whether there are records from here on: a chunk, the end of the data or of the log, or some in a
+    /// row.
     fn records_follow(&mut self) -> io::Result<bool> {
         let mut at = self.at;
-        for _ in 0..MANY {
+        for _ in 0..IN_A_ROW {
             let telling = self.telling(at)?;
             let left = self.length.saturating_sub(at);
             match heads::read(&telling, left) {
