@@ -16,6 +16,8 @@ const MOST_OUTLYING: f64 = 0.03;
 /// Fewest values at a limit, and their number over that of the values next to it: a sine in coarse steps has 2.4.
 const MIN_AT_LIMIT: usize = 10;
 const MORE_THAN_NEXT: usize = 5;
+/// In coarse steps each value is there so often on average.
+const VALUES_OF_COARSE: usize = 8;
 /// An output that came back to a value so often was not at rest there.
 const OFTEN: usize = 5;
 /// How far the model must be from them, over the RMS of its residual.
@@ -84,6 +86,11 @@ pub(super) fn limit(model: Option<&Polynomials>, record: &Record) -> Option<(usi
     let outputs = record.segments.iter().flat_map(|s| &s.output).copied().filter(|y| !y.is_nan());
     let mut sorted: Vec<f64> = outputs.collect();
     sorted.sort_by(f64::total_cmp);
+    // Of what is at neither end.
+    let (first, last) = (sorted.first().copied()?, sorted.last().copied()?);
+    let between: Vec<f64> = sorted.iter().copied().filter(|y| *y != first && *y != last).collect();
+    let distinct = between.chunk_by(|a, b| a == b).count();
+    let is_coarse = VALUES_OF_COARSE * distinct < between.len();
     let at_end = |values: &mut dyn Iterator<Item = f64>| {
         // Adding 0 makes 0 of −0.
         let mut values = values.map(|value| value + 0.0).peekable();
@@ -96,15 +103,17 @@ pub(super) fn limit(model: Option<&Polynomials>, record: &Record) -> Option<(usi
             Some((count, value))
         };
         let ((last, value), (next, next_value)) = (count()?, count()?);
-        let is_limit = || model.is_none_or(|model| is_elsewhere(model, record, value, (next_value - value).abs()));
+        let is_limit =
+            || model.is_none_or(|model| is_elsewhere(model, record, (value, (next_value - value).abs()), is_coarse));
         (last >= MIN_AT_LIMIT && last >= MORE_THAN_NEXT * next && is_limit()).then_some((last, value))
     };
     at_end(&mut sorted.iter().rev().copied()).or_else(|| at_end(&mut sorted.iter().copied()))
 }
 
-/// Whether the model is elsewhere in most samples of this value, farther than the next value is: by more than where it
-/// is right, or the output came back there often, to which a model adapts. At rest it is there once, or a few times.
-fn is_elsewhere(model: &Polynomials, record: &Record, value: f64, to_next: f64) -> bool {
+/// Whether the model is elsewhere in most samples of this value, farther than the next value is, by more than where it
+/// is right; or the output came back there often, to which a model adapts. At rest it is there once, or a few times, or
+/// often in coarse steps.
+fn is_elsewhere(model: &Polynomials, record: &Record, (value, to_next): (f64, f64), is_coarse: bool) -> bool {
     let left = record.segments.iter().flat_map(|segment| {
         let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
         segment.output.iter().copied().zip(modelled).map(|(y, m)| (y, y - m)).collect::<Vec<_>>()
@@ -116,7 +125,8 @@ fn is_elsewhere(model: &Polynomials, record: &Record, value: f64, to_next: f64) 
     let visits = is_there.windows(2).filter(|pair| pair[1] && !pair[0]).count();
     let all: Vec<f64> = left.into_iter().map(|(_, left)| left).collect();
     let far = there.iter().filter(|left| left.abs() > to_next).count();
-    2 * far > there.len() && (rms(&there) > ELSEWHERE * rms(&all) || visits >= OFTEN)
+    let mostly_far = 2 * far > there.len();
+    mostly_far && rms(&there) > ELSEWHERE * rms(&all) || visits >= OFTEN && (mostly_far || !is_coarse)
 }
 
 #[cfg(test)]
