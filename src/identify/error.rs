@@ -94,8 +94,8 @@ pub enum IdentifyError {
     },
     /// A value whose square is no number.
     #[error(
-        "{name}: the largest value of the {what} is {largest:e}: squares of such values cannot be computed; correct it, \
-         leave the cell empty, or choose another unit"
+        "{name}: the largest value of the {what} is {largest:e}: squares of such values cannot be computed; correct \
+         it, leave the cell empty, or choose another unit"
     )]
     OutOfRange {
         /// The records.

@@ -1,7 +1,7 @@
 //! Which bytes can be the head of a record.
 //!
-//! A damaged head makes one record of another, or swallows those that follow. A chunk tells from its inside, too, that it
-//! is one, and how long it is.
+//! A damaged head makes one record of another, or swallows those that follow. A chunk tells from its inside, too, that
+//! it is one, and how long it is.
 
 use mcap::records::op;
 

@@ -2,8 +2,8 @@
 //!
 //! In: a log, whole, cut off or damaged, its chunks plain or compressed (lz4, zstd). Out: every record whose checksum
 //! holds. A chunk with a wrong checksum is left out entirely. Where heads are invalid (`heads.rs`) the file is searched
-//! for the next chunk. What this cannot detect: damage in a chunk that was written without a checksum, if it leaves valid
-//! records and the log has no checksum of its data.
+//! for the next chunk. What this cannot detect: damage in a chunk that was written without a checksum, if it leaves
+//! valid records and the log has no checksum of its data.
 
 use super::LogError;
 use super::condition::{Condition, Damage};
@@ -228,8 +228,8 @@ impl Records {
         Ok(())
     }
 
-    /// If the record at `at` that was just read has swallowed a chunk, goes on there. One that records follow is as long
-    /// as it says: it may hold anything, a log too.
+    /// If the record at `at` that was just read has swallowed a chunk, goes on there. One that records follow is as
+    /// long as it says: it may hold anything, a log too.
     fn go_on_within(&mut self, at: u64) -> io::Result<bool> {
         if self.records_follow()? {
             return Ok(false);
@@ -240,8 +240,7 @@ impl Records {
         Ok(true)
     }
 
-    /// Whether there are records from here on: a chunk, the end of the data or of the log, or some in a
-    /// row.
+    /// Whether there are records from here on: a chunk, the end of the data or of the log, or some in a row.
     fn records_follow(&mut self) -> io::Result<bool> {
         let mut at = self.at;
         for _ in 0..IN_A_ROW {

@@ -13,9 +13,9 @@
 //! step of that length: a header may state 60 frames per second and the recording have every eighth.
 //!
 //! A recording of truly variable rate has no period: where more than a quarter of the steps are not whole multiples of
-//! the median, or short and long steps take turns (stamps that alternate, or a camera without a declared rate that loses
-//! every third frame), only steps over [`GAP_MEDIANS`] medians are counted, in medians. What this cannot detect: frames lost
-//! when a clock stamps them at a constant rate as they arrive.
+//! the median, or short and long steps take turns (stamps that alternate, or a camera without a declared rate that
+//! loses every third frame), only steps over [`GAP_MEDIANS`] medians are counted, in medians. What this cannot detect:
+//! frames lost when a clock stamps them at a constant rate as they arrive.
 
 use std::collections::VecDeque;
 

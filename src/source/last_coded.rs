@@ -85,8 +85,8 @@ fn with(sum: u64, bytes: &[u8]) -> u64 {
     words.fold(sum, |sum, word| (sum.rotate_left(29) ^ word).wrapping_mul(FACTOR))
 }
 
-/// The samples of a block's side that are looked at: smoothing of the blocks' edges changes the others in skipped blocks
-/// too.
+/// The samples of a block's side that are looked at: smoothing of the blocks' edges changes the others in skipped
+/// blocks too.
 fn added(side: usize) -> Range<usize> {
     let smoothed = if side >= 16 { 3 } else { 1 };
     smoothed..side.saturating_sub(smoothed)

@@ -2,9 +2,9 @@
 //!
 //! In: the observed points of the periods that count. Out: for each period its phase and the middle of its motion; how
 //! much the phase changes from one period to the next, on average (a line through all of them) and at most; and how far
-//! the middle moves. Phases are those of the lag behind the motion that all periods have in common (`mean_motion.rs`), not
-//! behind the path: a response has another shape than a path with several frequencies, and its lag would depend on which
-//! of its points are missing.
+//! the middle moves. Phases are those of the lag behind the motion that all periods have in common (`mean_motion.rs`),
+//! not behind the path: a response has another shape than a path with several frequencies, and its lag would depend on
+//! which of its points are missing.
 //!
 //! The commands of all periods are the same, so a steady response has one phase and one middle. A phase that changes
 //! evenly means that commands were held longer or shorter than assumed, or that one of the clocks is off; a single

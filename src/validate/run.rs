@@ -123,8 +123,8 @@ pub(crate) struct Run {
     pub scatter_m: Option<f64>,
     /// The tracker's σ of a coordinate, root mean square, metres.
     pub sd_m: Option<f64>,
-    /// What noise makes of the magnitude, in parts of it, and of the phase, radians: the larger of what `sd_m` gives and
-    /// of what does not repeat.
+    /// What noise makes of the magnitude, in parts of it, and of the phase, radians: the larger of what `sd_m` gives
+    /// and of what does not repeat.
     pub response_sd: Option<f64>,
     /// Notes about this run for the reader.
     pub notes: Vec<String>,

@@ -70,8 +70,8 @@ impl Fit {
         let misfit = (self.misfit > LARGE_MISFIT * slow).then(|| {
             format!(
                 "residuals are {:.1} times the noise, so that something else than the values is wrong: which column \
-                 is which coil (--coils), and has one another sign? Are currents in A and places in mm, is B0 right, is \
-                 the base frame that of the run{}?",
+                 is which coil (--coils), and has one another sign? Are currents in A and places in mm, is B0 right, \
+                 is the base frame that of the run{}?",
                 self.misfit,
                 match self.in_motion {
                     true => {

@@ -6,8 +6,8 @@
 //!
 //! 1. Pauses in which the catheter came to rest give the noise (differences from frame to frame, taken for white; not
 //!    less than the tracker states, as a coder repeats the pictures of what rests, with their errors) and, by the
-//!    boundary value problem of the rod, what shapes at rest depend on. Noise that is slow is larger in their means: the
-//!    halves of pauses tell how much.
+//!    boundary value problem of the rod, what shapes at rest depend on. Noise that is slow is larger in their means:
+//!    the halves of pauses tell how much.
 //! 2. From there, everything is fitted to all frames by the catheter in motion.
 //!
 //! After each step the eigenvectors of the information tell what is left open (`search.rs`); the parameter that has the
@@ -38,13 +38,10 @@ use nalgebra::{DMatrix, DVector};
 pub use parameter::Parameter;
 pub use search::Open;
 use search::{Found, least_determined, minimise};
+use still::AtRest;
 pub use still::Pause;
-use still::{AtRest, Still};
 pub use wiring::Wiring;
-use wiring::misfit_of;
 
-/// Shapes at rest that leave this much of the noise are tried with other orders and signs of the currents.
-const OTHER_WIRING: f64 = 5.0;
 /// σ that are larger by more than this for the noise's colour are told with that.
 const WIDENED_REPORTED: f64 = 1.2;
 
@@ -81,13 +78,6 @@ pub struct FitOptions {
     pub accuracy: Accuracy,
     /// What the tracker says of itself: noise where no pause shows more.
     pub stated_noise: Option<Noise>,
-}
-
-impl FitOptions {
-    /// Those of the parameters that shapes at rest depend on.
-    fn parameters_at_rest(&self) -> Vec<Parameter> {
-        self.parameters.iter().copied().filter(|parameter| parameter.is_static()).collect()
-    }
 }
 
 /// A value with its standard deviation, SI units.
@@ -211,19 +201,17 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
     let mut wiring = None;
     if !pauses.is_empty() && !wanted.is_empty() {
         let start = catheter.clone();
-        let otherwise =
-            |misfit| Wiring::better(&start, &options.parameters_at_rest(), (runs, &pauses), of_means, misfit);
+        let at_rest = wanted.clone();
         // What shapes at rest leave open, the motion may tell.
         let result = determined(&mut wanted, options.only_still.then_some(&mut open), |parameters| {
-            let model = Still::new(&start, parameters, (runs, &pauses), of_means);
-            minimise(parameters, &model, start_of(&start, delay_s, parameters))
+            still::fitted(&start, parameters, (runs, &pauses), of_means)
         });
-        let result = result.map_err(|why| match otherwise(f64::INFINITY) {
+        let misfit = result.as_ref().map_or(f64::INFINITY, Found::misfit);
+        wiring = Wiring::better(&start, &at_rest, (runs, &pauses), of_means, misfit);
+        let result = result.map_err(|why| match &wiring {
             Some(wiring) => wrong(&format!("{why}; {wiring}")),
             None => why,
         })?;
-        let misfit = misfit_of(&result, wanted.len());
-        wiring = (misfit > OTHER_WIRING).then(|| otherwise(misfit)).flatten();
         catheter = with(&start, delay_s, &wanted, &result.coordinates).0;
         found = Some((start, wanted.clone(), result));
     }
@@ -296,7 +284,7 @@ fn result_of(
 ) -> Fit {
     let (catheter, delay_s) = with(start, delay_s, parameters, &found.coordinates);
     let count = parameters.len();
-    let misfit = misfit_of(&found, count);
+    let misfit = found.misfit();
     // Determined: the information has an inverse.
     let inverse = found.information.clone().cholesky().map(|c| c.inverse());
     let covariance = inverse.unwrap_or_else(|| DMatrix::zeros(count, count));

@@ -13,8 +13,8 @@ const DETERMINED_INFORMATION: f64 = 25.0;
 /// What has a share of at least this in a direction is named with it.
 const NAMED_SHARE: f64 = 0.4;
 const MAX_STEPS: usize = 25;
-/// After so many steps what the data determine is at its end, or near: along what they do not determine a search goes on
-/// for long.
+/// After so many steps what the data determine is at its end, or near: along what they do not determine a search goes
+/// on for long.
 const STEPS_WHILE_OPEN: usize = 8;
 /// A step that promises to lower the sum of squares by less than this is the last; where residuals are larger than the
 /// noise, by less than this times their mean square, as σ are wider by that too.
@@ -36,6 +36,14 @@ pub(super) struct Found {
     pub(super) information: DMatrix<f64>,
     /// False when the search was given up before: often in a valley of what the data do not determine.
     pub(super) settled: bool,
+}
+
+impl Found {
+    /// √(χ²/n).
+    pub(super) fn misfit(&self) -> f64 {
+        let free = self.residuals.len().saturating_sub(self.jacobian.ncols()).max(1);
+        (self.residuals.norm_squared() / free as f64).sqrt()
+    }
 }
 
 /// Parameters that the data cannot tell.

@@ -2,7 +2,7 @@
 
 use super::Run;
 use super::parameter::Parameter;
-use super::search::Residuals;
+use super::search::{Found, Residuals, minimise};
 use crate::catheter::equilibrium::equilibrium;
 use crate::catheter::load::Load;
 use crate::catheter::model::Catheter;
@@ -164,6 +164,17 @@ impl<'a> Still<'a> {
         let shapes = pauses.iter().map(|pause| equilibrium(start, &Load::currents(pause.currents_a)).ok()).collect();
         Self { start, parameters, runs, pauses, shapes, noise }
     }
+}
+
+/// Fits parameters to the shapes of pauses.
+pub(super) fn fitted(
+    start: &Catheter,
+    parameters: &[Parameter],
+    of: (&[Run], &[Pause]),
+    noise: Noise,
+) -> Option<Found> {
+    // Shapes at rest do not depend on the delay.
+    minimise(parameters, &Still::new(start, parameters, of, noise), super::start_of(start, 0.0, parameters))
 }
 
 impl Residuals for Still<'_> {

@@ -3,8 +3,8 @@
 //! In: pauses whose shapes leave much more than noise. Out: the order and signs of the currents with which they would
 //! fit, if some do clearly better than those given.
 
-use super::search::{Found, Residuals as _, minimise};
-use super::still::{Pause, Still};
+use super::search::Residuals as _;
+use super::still::{Pause, Still, fitted};
 use super::{Parameter, Run, determined, start_of};
 use crate::catheter::model::Catheter;
 use crate::catheter::record::Noise;
@@ -12,8 +12,9 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::fmt;
 
-/// Others must fit, and leave this part of the residuals at most.
+/// Shapes that leave no more of the noise fit.
 const FITS: f64 = 5.0;
+/// Others must fit, and leave this part of the residuals at most.
 const CLEARLY_LESS: f64 = 1.0 / 3.0;
 /// So many are fitted: those that are nearest without.
 const FITTED: usize = 3;
@@ -33,7 +34,7 @@ const COILS: [&str; 3] = ["x", "y", "z"];
 const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [1, 0, 2], [2, 1, 0], [0, 2, 1], [1, 2, 0], [2, 0, 1]];
 
 impl Wiring {
-    /// The other one that explains the pauses clearly better than `misfit`.
+    /// The other one with which the pauses fit, where they do not with the one given, which leaves `misfit`.
     pub(super) fn better(
         catheter: &Catheter,
         parameters: &[Parameter],
@@ -41,6 +42,9 @@ impl Wiring {
         noise: Noise,
         misfit: f64,
     ) -> Option<Self> {
+        if misfit <= FITS {
+            return None;
+        }
         let signs = (0..8_u8).map(|bits| [0, 1, 2].map(|k| if bits >> k & 1 == 0 { 1.0 } else { -1.0 }));
         let all = signs.flat_map(|signs| ORDERS.map(|order| [0, 1, 2].map(|k| (order[k], signs[k]))));
         let all: Vec<_> = all.skip(1).collect();
@@ -56,11 +60,9 @@ impl Wiring {
             .take(FITTED)
             .filter_map(|(_, by)| {
                 let pauses: Vec<Pause> = pauses.iter().map(|pause| driven(pause, &by)).collect();
-                let found = determined(&mut parameters.to_vec(), None, |parameters| {
-                    let model = Still::new(catheter, parameters, (runs, &pauses), noise);
-                    minimise(parameters, &model, start_of(catheter, 0.0, parameters))
-                });
-                Some(Self { by, misfit: misfit_of(&found.ok()?, parameters.len()) })
+                let search = |parameters: &[Parameter]| fitted(catheter, parameters, (runs, &pauses), noise);
+                let found = determined(&mut parameters.to_vec(), None, search);
+                Some(Self { by, misfit: found.ok()?.misfit() })
             })
             .collect();
         let least = tried.iter().map(|tried| tried.misfit).fold(f64::INFINITY, f64::min);
@@ -73,12 +75,6 @@ impl Wiring {
     fn changes(&self) -> usize {
         self.by.iter().enumerate().filter(|(k, (current, sign))| current != k || *sign < 0.0).count()
     }
-}
-
-/// √(χ²/n) of a fit.
-pub(super) fn misfit_of(found: &Found, parameters: usize) -> f64 {
-    let free = found.residuals.len().saturating_sub(parameters).max(1);
-    (found.residuals.norm_squared() / free as f64).sqrt()
 }
 
 fn driven(pause: &Pause, by: &[(usize, f64); 3]) -> Pause {

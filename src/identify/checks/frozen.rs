@@ -8,7 +8,7 @@
 use crate::identify::data::segments::{Record, Segment};
 use crate::identify::estimate::noise_colour::Colour;
 use crate::identify::model::polynomials::Polynomials;
-use crate::identify::model::reproduction::{InitialState, Kind, output};
+use crate::identify::model::reproduction::left;
 use std::fmt;
 use std::ops::Range;
 
@@ -79,14 +79,7 @@ pub(super) fn frozen(model: &Polynomials, record: &Record, period_s: f64, of: Si
     runs.sort_by_key(|run| run.samples.len());
     let usual = runs.get((USUAL_PART * runs.len().checked_sub(1)? as f64) as usize)?.samples.len();
     let long = runs.into_iter().rev().take_while(|run| run.samples.len() >= LONG.max(TIMES_USUAL * usual));
-    let left: Vec<Vec<f64>> = record
-        .segments
-        .iter()
-        .map(|segment| {
-            let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
-            segment.output.iter().zip(modelled).map(|(y, m)| y - m).collect()
-        })
-        .collect();
+    let left: Vec<Vec<f64>> = record.segments.iter().map(|segment| left(model, segment)).collect();
     // At rest a signal keeps its value longest, and hangs later.
     long.take(MOST_RUNS).find_map(|Run { segment: k, samples }| {
         let ratio = larger_meanwhile(&left, k, samples.clone())?;

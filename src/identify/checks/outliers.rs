@@ -5,7 +5,7 @@
 
 use crate::identify::data::segments::Record;
 use crate::identify::model::polynomials::Polynomials;
-use crate::identify::model::reproduction::{InitialState, Kind, output};
+use crate::identify::model::reproduction::{InitialState, Kind, left, output};
 use crate::median::{SD_PER_MEDIAN_DEVIATION, upper_median};
 use std::fmt;
 
@@ -114,10 +114,7 @@ pub(super) fn limit(model: Option<&Polynomials>, record: &Record) -> Option<(usi
 /// is right; or the output came back there often, to which a model adapts. At rest it is there once, or a few times, or
 /// often in coarse steps.
 fn is_elsewhere(model: &Polynomials, record: &Record, (value, to_next): (f64, f64), is_coarse: bool) -> bool {
-    let left = record.segments.iter().flat_map(|segment| {
-        let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
-        segment.output.iter().copied().zip(modelled).map(|(y, m)| (y, y - m)).collect::<Vec<_>>()
-    });
+    let left = record.segments.iter().flat_map(|segment| segment.output.iter().copied().zip(left(model, segment)));
     let left: Vec<(f64, f64)> = left.filter(|(_, left)| !left.is_nan()).collect();
     let rms = |left: &[f64]| (left.iter().map(|v| v * v).sum::<f64>() / left.len().max(1) as f64).sqrt();
     let there: Vec<f64> = left.iter().filter(|(y, _)| *y == value).map(|(_, left)| *left).collect();

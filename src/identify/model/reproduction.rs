@@ -73,6 +73,12 @@ pub(crate) fn output(model: &Polynomials, segment: &Segment, kind: Kind) -> Vec<
     }
 }
 
+/// What the model leaves of the output in simulation, from rest if the segment begins there; NaN where it is missing.
+pub(in crate::identify) fn left(model: &Polynomials, segment: &Segment) -> Vec<f64> {
+    let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
+    segment.output.iter().zip(modelled).map(|(y, m)| y - m).collect()
+}
+
 /// The factor with which a model's output would fit best, Σ y ŷ / Σ ŷ².
 pub(in crate::identify) fn best_gain(model: &Polynomials, segments: &[Segment], initial_state: InitialState) -> f64 {
     let (mut product, mut energy) = (0.0, 0.0);

@@ -1,5 +1,5 @@
-//! From bytes to samples of currents: datagrams, lines, rows of tables, messages; and what to say of those that are none,
-//! or odd.
+//! From bytes to samples of currents: datagrams, lines, rows of tables, messages; and what to say of those that are
+//! none, or odd.
 
 use super::super::listener::Listener;
 use super::delays::Delays;
@@ -265,6 +265,7 @@ impl Parser {
                 } else {
                     self.untimely += 1;
                 }
+                self.note_order(&sample);
                 self.note_sender(&sample);
                 self.note_whole_numbers(bytes, &sample);
                 self.send(sample);
@@ -302,15 +303,19 @@ impl Parser {
         }
     }
 
-    /// Warns of a sender whose clock is another, or whose samples are lost. Of a table, rows of an earlier run say
-    /// nothing of the clock, nor do times that count from the beginning of this one.
-    fn note_sender(&mut self, sample: &CurrentSample) {
+    /// Counts rows of a table that are not in the order of their times.
+    fn note_order(&mut self, sample: &CurrentSample) {
         if self.columns.is_some() {
             let last_ns = self.last_ns.replace(sample.host_ns);
             self.not_later += u64::from(last_ns.is_some_and(|last_ns| sample.host_ns <= last_ns));
-            if self.is_timed_from_start() || !is_timely(sample) {
-                return;
-            }
+        }
+    }
+
+    /// Warns of a sender whose clock is another, or whose samples are lost. Of a table, rows of an earlier run say
+    /// nothing of the clock, nor do times that count from the beginning of this one.
+    fn note_sender(&mut self, sample: &CurrentSample) {
+        if self.columns.is_some() && (self.is_timed_from_start() || !is_timely(sample)) {
+            return;
         }
         let said = self.delays.take(sample).into_iter().chain(sample.seq.and_then(|seq| self.sequence.take(seq)));
         said.for_each(|said| tracing::warn!("{}: {said}", self.name));
@@ -547,7 +552,6 @@ mod tests {
         reading.join().unwrap();
     }
 
-    /// A further column of times is no coil, and a row without all cells no sample.
     /// A device that sends all the time, opened within a line.
     #[test]
     fn the_rest_of_a_line_is_no_sample() {

@@ -92,6 +92,7 @@ mod tests {
         assert_eq!(bare, CurrentSample { host_ns: 99, arrival_ns: 99, seq: None, current_a: vec![0.1, 0.0, -0.03] });
     }
 
+    /// A further column of times is no coil, and a row without all cells no sample.
     #[test]
     fn rows_of_a_table_have_its_columns() {
         let columns = columns("host_ns,t_s,i1,i2").unwrap();
