@@ -107,6 +107,8 @@ pub struct LiveSummary {
     pub unlogged_frames: u64,
     /// Samples of currents that were not logged for the same reason.
     pub unlogged_currents: u64,
+    /// Whether the source of currents failed before the end.
+    pub lost_currents: bool,
     /// Rows that subscribers were not given because they would have waited.
     pub unpublished: u64,
     /// Pictures recorded, and pictures lost to the recording; `None` when none were to be.
@@ -206,7 +208,7 @@ pub fn run(
         CameraEnd::default()
     });
     let (tracked, controllers) = returned(tracking.join());
-    currents.into_iter().for_each(|thread| returned(thread.join()));
+    let lost_currents = currents.is_some_and(|thread| returned(thread.join()));
     let unrecorded = recorder.and_then(|thread| returned(thread.join()));
     let (sinks, mut sink_failures) = returned(writer.join());
     let (tally, latency) = counters.totals();
@@ -227,6 +229,7 @@ pub fn run(
         latency,
         unlogged_frames: backlog.unlogged_frames(),
         unlogged_currents: backlog.unlogged_currents(),
+        lost_currents,
         unpublished: unpublished.iter().map(|missed| missed.load(Ordering::Relaxed)).sum(),
         pictures: counted(),
         priority: session.obtained,
@@ -281,14 +284,14 @@ fn take_all(mut source: Box<dyn FrameSource + Send>, queue: &Queue, stop: &Atomi
     (source.faults(), end)
 }
 
-/// Hands on currents until there are no more.
+/// Hands on currents until the run ends; whether they ended before.
 fn log_currents(
     currents: &Currents,
     log: &Log,
     subscribers: &[Subscribers],
     latest: Option<&Latest>,
     stop: &AtomicBool,
-) {
+) -> bool {
     let mut ends: Option<Instant> = None;
     loop {
         match currents.samples.recv_timeout(POLL_INTERVAL) {
@@ -303,7 +306,9 @@ fn log_currents(
             Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => {}
             // Who receives them reports what was lost before it is done.
             Err(RecvTimeoutError::Timeout) if ends.get_or_insert_with(Instant::now).elapsed() < CURRENTS_TIMEOUT => {}
-            Err(_) => return,
+            Err(RecvTimeoutError::Timeout) => return false,
+            // A source goes on until it is stopped, or fails.
+            Err(RecvTimeoutError::Disconnected) => return !stop.load(Ordering::Relaxed),
         }
     }
 }

@@ -10,12 +10,43 @@ use super::names::without_credentials;
 use super::times::seconds;
 use super::{SourceError, Span, messages};
 
+/// libav's names of streams without a container, and of pictures one after another. It gives both a rate of its own.
+const RAW_STREAMS: [&str; 21] = [
+    "avs2",
+    "avs3",
+    "cavsvideo",
+    "dirac",
+    "dnxhd",
+    "evc",
+    "h261",
+    "h263",
+    "h264",
+    "hevc",
+    "image2",
+    "image2pipe",
+    "ingenient",
+    "m4v",
+    "mjpeg",
+    "mjpeg_2000",
+    "mpegvideo",
+    "mpjpeg",
+    "obu",
+    "vc1",
+    "vvc",
+];
+
 /// libav writes to stderr by itself. What matters is in our errors and warnings, and what it says of packets is heard;
 /// the rest shows only when debugging.
 pub(crate) fn quiet_libav() {
     let debugging = tracing::enabled!(tracing::Level::DEBUG);
     av::log::set_level(if debugging { av::log::Level::Warning } else { av::log::Level::Quiet });
     messages::listen();
+}
+
+/// Whether the data has no container and no times: those that libav gives its pictures are invented.
+pub(super) fn is_raw(input: &av::format::context::Input) -> bool {
+    let format = input.format();
+    RAW_STREAMS.contains(&format.name()) || format.name().ends_with("_pipe")
 }
 
 /// Checks the file itself: the operating system's errors are clearer than libav's.

@@ -19,9 +19,12 @@
 
 use super::messages::Said;
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
 
 /// Packets remembered: no decoder holds back more pictures.
 const HELD_BACK: u64 = 256;
+/// When a picture is shown that has not come, in a stream without times.
+const NOT_YET: i64 = i64::MAX;
 
 /// Packets in decoding order, numbered from 0.
 #[derive(Debug, Default)]
@@ -33,6 +36,8 @@ pub(crate) struct DamageLog {
     damaged: BTreeMap<u64, Option<i64>>,
     /// Those of them whose times were returned.
     told: BTreeSet<u64>,
+    /// Packets whose error was returned, as far as is known which: they give no picture.
+    failed: BTreeSet<u64>,
     /// Packets with an error that may give a picture nevertheless.
     suspects: BTreeSet<u64>,
     /// Those that have given no picture yet, by time.
@@ -55,6 +60,40 @@ impl DamageLog {
         *self = Self::new(self.skips_numbers, self.hides_errors);
     }
 
+    /// The next packet to be decoded, of a stream without times; returns its number. Until its picture comes it is not
+    /// known when that is shown.
+    pub(super) fn packet_in_turn(&mut self, is_key: bool) -> u64 {
+        if is_key {
+            self.keys.insert(self.count, Some(NOT_YET));
+        }
+        self.number()
+    }
+
+    /// Its picture comes out of the decoder and is shown at `pts`.
+    pub(super) fn picture_in_turn(&mut self, number: u64, pts: i64, damaged: bool) {
+        if let Some(shown) = self.keys.get_mut(&number) {
+            *shown = Some(pts);
+        }
+        if let Some(harmed) = self.damaged.get_mut(&number).filter(|harmed| **harmed == Some(NOT_YET - 1)) {
+            *harmed = Some(pts.saturating_sub(1));
+        }
+        if damaged {
+            self.mark(number, Some(pts));
+        }
+    }
+
+    /// Whether one of these packets is known to give no picture.
+    pub(super) fn has_failed(&self, mut numbers: RangeInclusive<u64>) -> bool {
+        numbers.any(|number| self.failed.contains(&number))
+    }
+
+    /// It has given no picture, and gives none any more.
+    pub(super) fn gives_no_picture(&mut self, number: u64) {
+        if self.suspects.remove(&number) {
+            self.mark(number, None);
+        }
+    }
+
     /// The next packet to be decoded; returns its number.
     pub(crate) fn packet(&mut self, pts: Option<i64>, is_key: bool) -> u64 {
         if is_key {
@@ -63,6 +102,10 @@ impl DamageLog {
         if let Some(pts) = pts {
             self.number_of.insert(pts, self.count);
         }
+        self.number()
+    }
+
+    fn number(&mut self) -> u64 {
         let number = self.count;
         self.count += 1;
         if self.count.is_multiple_of(HELD_BACK) {
@@ -85,11 +128,19 @@ impl DamageLog {
         }
     }
 
+    /// The number of the packet that was read `before` packets before the last one.
+    pub(super) fn number_before(&self, before: u64) -> u64 {
+        self.count.saturating_sub(1 + before)
+    }
+
     /// The packet that was read `before` packets before the last one is damaged; returns its time.
     pub(crate) fn packet_is_damaged(&mut self, before: u64) -> Option<i64> {
-        let number = self.count.saturating_sub(1 + before);
+        let number = self.number_before(before);
         self.mark(number, self.time_of(number));
         self.told.insert(number);
+        // What was said of it tells which one it is.
+        let said = self.suspects.range(number..).find(|suspect| !self.failed.contains(suspect));
+        self.failed.insert(said.copied().unwrap_or(number));
         self.awaited(number)
     }
 
@@ -171,6 +222,7 @@ impl DamageLog {
         self.keys = self.keys.split_off(&key);
         self.damaged = self.damaged.split_off(&key);
         self.told = self.told.split_off(&key);
+        self.failed = self.failed.split_off(&key);
         self.suspects = self.suspects.split_off(&number);
         self.number_of.retain(|_, n| *n >= number);
     }

@@ -4,13 +4,14 @@
 //! state. Which of them are passed on, and when they were taken, `file` decides.
 
 use super::check::{InCheck, PacketCheck, Verdict};
-use super::container::{MAX_REORDERED, best_video, count_hint, open_decoder, open_input};
+use super::container::{MAX_REORDERED, best_video, count_hint, is_raw, open_decoder, open_input};
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
 use super::headers::skips_numbers;
 use super::messages::{self, Messages, OfContainer, Said};
 use super::quantisation::Stated;
 use super::times::seconds;
+use super::turns::{self, Turns};
 use super::{Clock, SourceError, Span};
 use crate::plural::plural;
 use ffmpeg_the_third as av;
@@ -42,12 +43,18 @@ pub(super) struct Decoded {
     pub frame: av::frame::Video,
     /// In the damage log.
     number: u64,
+    /// Its presentation time: its own, or that of its turn.
+    pub time: Option<i64>,
+    /// Whether it has none of its own.
+    pub in_turn: bool,
+    /// The last packet whose loss would give it another turn.
+    overtaken_up_to: u64,
 }
 
 impl Decoded {
     /// Its presentation time, or libav's guess.
     pub(super) fn pts(&self) -> Option<i64> {
-        time_of(&self.frame)
+        self.time.or(self.frame.timestamp())
     }
 }
 
@@ -58,6 +65,8 @@ fn time_of(frame: &av::frame::Video) -> Option<i64> {
 /// A packet that was read.
 struct Read {
     packet: InCheck,
+    /// Whether its time is its place.
+    in_turn: bool,
     /// Whether others may be missing before it: the container is damaged there.
     after_damage: bool,
     /// Whether the container is damaged right after it: what was lost mostly begins within it.
@@ -89,8 +98,6 @@ pub(super) struct Decoding {
     before_first: Option<BTreeSet<i64>>,
     /// Decoded pictures not judged yet.
     held: VecDeque<Decoded>,
-    /// A frame decoded while looking for the start of the span.
-    ahead: Option<av::frame::Video>,
     /// No more packets: the decoder is being drained.
     draining: bool,
     /// Live: set when no more packets are wanted.
@@ -103,10 +110,10 @@ pub(super) struct Decoding {
     pub reached_ns: Option<i64>,
     /// Live: when the latest packets were read, by presentation time.
     read_at: VecDeque<(Option<i64>, Instant)>,
-    /// Times of packets without a presentation time (AVI), in decoding order: pictures take them in turn.
-    in_turn: VecDeque<i64>,
-    /// Whether all pictures take them: of an AVI with B pictures in MPEG-4, libav knows presentation times of some, and
-    /// counts them otherwise.
+    /// Pictures of packets without presentation times take their places in turn.
+    turns: Turns,
+    /// Whether all pictures do: of raw streams, and of an AVI. (Of one with B pictures in MPEG-4, libav knows
+    /// presentation times of some, and counts them otherwise.)
     pub takes_turns: bool,
     /// Whether the recording itself trims frames at the end.
     trimmed: bool,
@@ -135,6 +142,7 @@ impl Decoding {
         let decoder = open_decoder(&path, &stream, threads, clock == Clock::Stream)?;
         let check = PacketCheck::of(&path, &stream);
         let damage = DamageLog::new(skips_numbers(&stream), stream.parameters().id() == av::codec::Id::HEVC);
+        let takes_turns = is_raw(&input);
         Ok(Self {
             stream: stream.index(),
             time_base: stream.time_base(),
@@ -153,15 +161,14 @@ impl Decoding {
             undecoded: BTreeSet::new(),
             before_first: (clock == Clock::Container).then(BTreeSet::new),
             held: VecDeque::new(),
-            ahead: None,
             draining: false,
             stop: Arc::default(),
             ends_early: None,
             damaged_packets: 0,
             reached_ns: None,
             read_at: VecDeque::new(),
-            in_turn: VecDeque::new(),
-            takes_turns: false,
+            turns: Turns::default(),
+            takes_turns,
             trimmed: false,
             damage_told: false,
             latest_dts: None,
@@ -215,16 +222,10 @@ impl Decoding {
         self.stated.clear();
         self.undecoded.clear();
         self.held.clear();
-        self.in_turn.clear();
-        self.ahead = None;
+        self.turns = Turns::default();
         self.draining = false;
         self.trimmed = false;
         self.latest_dts = None;
-    }
-
-    /// Gives back a frame of [`Self::decode`], to be the next one.
-    pub(super) fn keep_ahead(&mut self, frame: av::frame::Video) {
-        self.ahead = Some(frame);
     }
 
     /// Gives back a picture of [`Self::next_picture`], to be the next one.
@@ -234,7 +235,8 @@ impl Decoding {
 
     /// Whether a picture is sound, as far as known by now.
     pub(super) fn is_sound(&self, picture: &Decoded) -> bool {
-        self.damage.is_sound(picture.number, picture.pts())
+        let misplaced = self.damage.has_failed(picture.number + 1..=picture.overtaken_up_to);
+        self.damage.is_sound(picture.number, picture.pts()) && !misplaced
     }
 
     /// The time of a damaged packet that gave no picture, if there is one before `pts`; each is returned once.
@@ -248,7 +250,7 @@ impl Decoding {
 
     /// What the packet of a picture stated of its quantiser.
     pub(super) fn stated_of(&mut self, picture: &Decoded) -> Option<Stated> {
-        self.stated.remove(&picture.pts()?)
+        self.stated.remove(&time_of(&picture.frame)?)
     }
 
     /// When the packet of a live picture was read.
@@ -256,22 +258,12 @@ impl Decoding {
         self.read_at.iter().rev().find(|(of, _)| *of == pts).map(|(_, at)| *at)
     }
 
-    /// The time of the next packet without a presentation time.
-    pub(super) fn next_in_turn(&mut self) -> Option<i64> {
-        self.in_turn.pop_front()
-    }
-
     /// The next frame out of the decoder; `None` when it has no more.
-    pub(super) fn decode(&mut self) -> Option<av::frame::Video> {
-        if let Some(frame) = self.ahead.take() {
-            return Some(frame);
-        }
+    fn decode(&mut self) -> Option<av::frame::Video> {
         let mut frame = av::frame::Video::empty();
         loop {
             let received = self.decoder.receive_frame(&mut frame);
-            for (number, said) in self.messages.take() {
-                self.damage.heard(number, said);
-            }
+            self.listen();
             match received {
                 Ok(()) => {
                     self.awaits_first = None;
@@ -286,25 +278,72 @@ impl Decoding {
         }
     }
 
+    /// Notes what the decoder said of its packets.
+    fn listen(&mut self) {
+        for (number, said) in self.messages.take() {
+            self.damage.heard(number, said);
+        }
+    }
+
     /// The next frame in presentation order. The last ones wait for each other: a decoder that is drained may be late
-    /// to say that a packet failed.
+    /// to say that a packet failed. Any waits for those that may change its turn.
     pub(super) fn next_picture(&mut self) -> Option<Decoded> {
-        while self.held.is_empty() || self.draining {
+        let waits = |of: &Self| {
+            let decoded = of.damage.number_before(of.packets_in_work());
+            of.held.front().is_none_or(|first| first.overtaken_up_to > decoded.max(first.number))
+        };
+        while self.draining || waits(self) {
             let next = self.decode();
             if self.draining {
                 let until = next.as_ref().and_then(time_of);
                 self.undecoded.extend(self.damage.failed_before(until));
             }
-            let Some(frame) = next else { break };
-            let pts = time_of(&frame);
-            let number = self.damage.picture(pts, is_damaged(&frame));
-            if let Some(pts) = pts {
-                self.undecoded.remove(&pts);
-                self.note_kept_back(pts);
-            }
-            self.held.push_back(Decoded { frame, number });
+            let Some(frame) = next else {
+                let rest = self.turns.rest();
+                self.give_no_picture(rest);
+                break;
+            };
+            let decoded = self.in_its_turn(frame);
+            self.held.push_back(decoded);
         }
         self.held.pop_front()
+    }
+
+    /// When a frame is shown, and the damage that is known of it.
+    fn in_its_turn(&mut self, frame: av::frame::Video) -> Decoded {
+        let damaged = is_damaged(&frame);
+        // In MPEG-4 only B pictures are shown before one that is decoded earlier.
+        let is_anchor = self.decoder.id() == av::codec::Id::MPEG4 && frame.kind() != av::picture::Type::B;
+        let in_order = frame.is_key() || !self.decoder.has_b_frames() || is_anchor;
+        if let Some(place) = frame.pts().filter(|_| self.takes_turns)
+            && let Some(turn) = self.turns.picture(place, in_order)
+        {
+            self.damage.picture_in_turn(turn.number, turn.shown, damaged);
+            self.give_no_picture(turn.lost);
+            let (number, time, overtaken_up_to) = (turn.number, Some(turn.shown), turn.overtaken_up_to);
+            return Decoded { frame, number, time, in_turn: true, overtaken_up_to };
+        }
+        let in_turn = self.takes_turns || frame.pts().is_none();
+        let time = if in_turn { self.turns.next() } else { frame.pts() };
+        let pts = time.or(frame.timestamp());
+        let number = self.damage.picture(pts, damaged);
+        if let Some(pts) = pts {
+            self.undecoded.remove(&pts);
+            self.note_kept_back(pts);
+        }
+        Decoded { frame, number, time, in_turn, overtaken_up_to: number }
+    }
+
+    /// Packets in turn give no picture any more.
+    fn give_no_picture(&mut self, packets: Vec<turns::Packet>) {
+        // A stream was joined in its middle.
+        let joined = self.clock == Clock::Stream && self.reached_ns.is_none();
+        for packet in packets {
+            self.damage.gives_no_picture(packet.number);
+            if !joined {
+                self.undecoded.insert(packet.place);
+            }
+        }
     }
 
     /// Of a recording: the packets before a picture that will give none are damaged, or cannot be decoded as they are
@@ -340,19 +379,15 @@ impl Decoding {
                 self.next_packet()
             };
             match next {
-                Ok(Read { packet: next, after_damage, before_damage }) => {
+                Ok(Read { packet: next, in_turn, after_damage, before_damage }) => {
                     let packet = &*next.packet;
+                    let number = self.number(packet, in_turn);
                     let pts = packet.pts().or(packet.dts());
-                    self.takes_turns |= packet.pts().is_none() && self.input.format().name() == AVI;
-                    let in_turn = packet.pts().is_none() || self.takes_turns;
-                    if in_turn && self.clock == Clock::Container {
-                        self.in_turn.extend(packet.dts());
-                    }
-                    let number = self.damage.packet(pts, packet.is_key());
                     if before_damage || after_damage && !packet.is_key() {
                         self.damage.heard(number, Said::Concealed);
                     }
                     if let (Some(before), Some(pts)) = (&mut self.before_first, packet.pts())
+                        && !in_turn
                         && !is_left_out(packet)
                         && before.len() < MAX_UNDECODED
                     {
@@ -360,10 +395,7 @@ impl Decoding {
                     }
                     self.messages.packet(&mut self.decoder, number);
                     if packet.is_corrupt() {
-                        if in_turn {
-                            // No picture will take its time.
-                            self.in_turn.pop_back();
-                        }
+                        self.turns.forget(number);
                         self.damaged_packet(av::Error::InvalidData, false);
                         continue;
                     }
@@ -397,6 +429,20 @@ impl Decoding {
         }
     }
 
+    /// The number of a packet in the damage log, where its time or its place is noted.
+    fn number(&mut self, packet: &av::Packet, in_turn: bool) -> u64 {
+        if let Some(place) = packet.pts().filter(|_| in_turn) {
+            let number = self.damage.packet_in_turn(packet.is_key());
+            self.turns.packet(turns::Packet { place, number });
+            return number;
+        }
+        let number = self.damage.packet(packet.pts().or(packet.dts()), packet.is_key());
+        if let (None, Some(place), Clock::Container) = (packet.pts(), packet.dts(), self.clock) {
+            self.turns.unmarked(turns::Packet { place, number });
+        }
+        number
+    }
+
     /// Whether a stream was read for long without a picture.
     fn is_hopeless(&self) -> bool {
         let first = self.awaits_first.flatten();
@@ -420,7 +466,8 @@ impl Decoding {
             if let Some(Ok(last)) = self.read.back_mut() {
                 last.before_damage = after_damage;
             }
-            self.read.push_back(packet.map(|packet| Read { packet, after_damage, before_damage: false }));
+            let in_turn = self.takes_turns;
+            self.read.push_back(packet.map(|packet| Read { packet, in_turn, after_damage, before_damage: false }));
         }
         self.read.pop_front().unwrap_or(Err(av::Error::Eof))
     }
@@ -441,6 +488,12 @@ impl Decoding {
             if packet.stream() == self.stream {
                 break;
             }
+        }
+        let is_avi = self.clock == Clock::Container && self.input.format().name() == AVI;
+        self.takes_turns |= is_avi && packet.pts().is_none();
+        if self.takes_turns {
+            // The decoder hands it on with the picture.
+            packet.set_pts(if is_avi { packet.dts() } else { self.packets });
         }
         self.note_arrival(&packet);
         self.latest_dts = packet.dts().max(self.latest_dts);
@@ -515,12 +568,12 @@ impl Decoding {
         // A decoder of several threads returns a packet's error when it is given a later one; when it is drained, only
         // its messages tell whose it is.
         let later = if by_decoder { self.packets_in_work() } else { 0 };
+        self.listen();
         if !self.draining || !self.damage.has_suspects() {
             self.undecoded.extend(self.damage.packet_is_damaged(later));
         }
-        // No picture will take its time.
-        if by_decoder && let Some(at) = self.in_turn.len().checked_sub(1 + later as usize) {
-            self.in_turn.remove(at);
+        if by_decoder {
+            self.turns.forget(self.damage.number_before(later));
         }
         self.damaged_packets += 1;
         // Nonsensical times are never reached.

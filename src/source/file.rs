@@ -17,7 +17,7 @@ use std::time::Instant;
 
 use ffmpeg_the_third as av;
 
-use super::container::{measure, open_input, open_stream, quiet_libav};
+use super::container::{is_raw, measure, open_input, open_stream, quiet_libav};
 use super::decoded::PictureMaker;
 use super::decoding::{Decoded, Decoding};
 use super::extent::Extent;
@@ -54,8 +54,8 @@ pub struct VideoFile {
     path: PathBuf,
     clock: Clock,
     decoding: Decoding,
-    /// Stated rate of a raw stream, and how many of its frames were decoded.
-    stated: Option<(FrameRate, u64)>,
+    /// Stated rate of a raw stream.
+    stated: Option<FrameRate>,
     /// Camera time at the container's zero, see [`ORIGIN_TAG`].
     origin_ns: i64,
     pictures: PictureMaker,
@@ -79,37 +79,6 @@ pub struct VideoFile {
     before_ns: Option<i64>,
     after_ns: Option<i64>,
     last_good_ns: Option<i64>,
-}
-
-/// libav's names of streams without a container, and of pictures one after another. It gives both a rate of its own.
-const RAW_STREAMS: [&str; 21] = [
-    "avs2",
-    "avs3",
-    "cavsvideo",
-    "dirac",
-    "dnxhd",
-    "evc",
-    "h261",
-    "h263",
-    "h264",
-    "hevc",
-    "image2",
-    "image2pipe",
-    "ingenient",
-    "m4v",
-    "mjpeg",
-    "mjpeg_2000",
-    "mpegvideo",
-    "mpjpeg",
-    "obu",
-    "vc1",
-    "vvc",
-];
-
-/// Whether the data has no times, and those that libav gives its pictures are invented.
-fn is_without_times(input: &av::format::context::Input) -> bool {
-    let format = input.format();
-    RAW_STREAMS.contains(&format.name()) || format.name().ends_with("_pipe")
 }
 
 /// Tag with the camera's clock at the container's zero, nanoseconds. Videos recorded by this program have it when the
@@ -139,7 +108,7 @@ impl VideoFile {
             Extent::Whole | Extent::Undeclared => None,
         };
         let input = open_input(&path)?;
-        match (is_without_times(&input), options.stated_rate) {
+        match (is_raw(&input), options.stated_rate) {
             (true, None) => return Err(SourceError::NoTime { path, seq: 0 }),
             (false, Some(_)) => return Err(SourceError::RateOfVideo { path }),
             _ => {}
@@ -167,7 +136,7 @@ impl VideoFile {
 
     /// Whether the data has times, or only pictures.
     pub(super) fn has_times(&self) -> bool {
-        !is_without_times(self.decoding.input())
+        !is_raw(self.decoding.input())
     }
 
     fn of_input(
@@ -197,7 +166,7 @@ impl VideoFile {
             path,
             clock,
             decoding,
-            stated: options.stated_rate.map(|rate| (rate, 0)),
+            stated: options.stated_rate,
             origin_ns,
             keep_damaged: options.keep_damaged,
             layout: None,
@@ -227,16 +196,18 @@ impl VideoFile {
             if !self.decoding.seek(to_us) {
                 break;
             }
-            if let Some(frame) = self.decoding.decode() {
-                let starts_ns = self.stamp(&frame)?.ns;
-                self.decoding.keep_ahead(frame);
-                if starts_ns <= from_ns {
-                    return Ok(());
-                }
+            let Some(first) = self.decoding.next_picture() else { continue };
+            // Their places count from the first packet.
+            if self.decoding.takes_turns {
+                break;
+            }
+            let starts_ns = first.pts().map(|ticks| self.timed(ticks)).transpose()?.map(|stamp| stamp.ns);
+            self.decoding.put_back(first);
+            if starts_ns.is_some_and(|starts_ns| starts_ns <= from_ns) {
+                return Ok(());
             }
         }
         // Not seekable, or the span starts before the first frame: read from the start.
-        self.latest_pts = None;
         self.decoding.restart()
     }
 
@@ -252,32 +223,31 @@ impl VideoFile {
         }
     }
 
-    /// The container's time of `frame`.
-    fn stamp(&mut self, frame: &av::frame::Video) -> Result<Timestamp, SourceError> {
-        if let Some((rate, number)) = &mut self.stated {
-            let late = || SourceError::TimeRange { path: self.path.clone(), seq: self.seq };
-            let ns = rate.stamp_ns(*number).ok_or_else(late)?;
-            *number += 1;
-            self.decoding.reached_ns = Some(ns);
-            return Ok(Timestamp { ns, clock: Clock::StatedRate });
-        }
-        let ticks = match frame.pts().filter(|_| !self.decoding.takes_turns) {
-            Some(pts) => pts,
-            None if self.clock == Clock::Stream && !self.has_times() => self.seq.cast_signed(),
-            None => self.guessed(frame)?,
+    /// The container's time of a picture, or that of its turn.
+    fn stamp(&mut self, picture: &Decoded) -> Result<Timestamp, SourceError> {
+        let ticks = match picture.time {
+            Some(ticks) if !picture.in_turn => ticks,
+            time => {
+                // Of a recording's pictures, libav's guess depends on the number of threads; a repeated time is seen to
+                // be one.
+                let guess = picture.frame.timestamp();
+                let latest = self.latest_pts.filter(|_| guess.is_some() && self.clock == Clock::Container);
+                let no_time = || SourceError::NoTime { path: self.path.clone(), seq: self.seq };
+                let ticks = time.or(latest).or(guess).ok_or_else(no_time)?;
+                self.note_guess();
+                ticks
+            }
         };
         let stamp = self.timed(ticks)?;
         (self.latest_pts, self.decoding.reached_ns) = (Some(ticks), Some(stamp.ns));
         Ok(stamp)
     }
 
-    /// The time of a frame that has none: that of its packet, or libav's guess.
-    fn guessed(&mut self, frame: &av::frame::Video) -> Result<i64, SourceError> {
-        let (in_turn, guess) = (self.decoding.next_in_turn(), frame.timestamp());
-        // Of a recording's pictures, libav's guess depends on the number of threads; a repeated time is seen to be one.
-        let latest = self.latest_pts.filter(|_| guess.is_some() && self.clock == Clock::Container);
-        let no_time = || SourceError::NoTime { path: self.path.clone(), seq: self.seq };
-        let ticks = in_turn.or(latest).or(guess).ok_or_else(no_time)?;
+    /// A picture has no time of its own. Those of a raw stream never have.
+    fn note_guess(&mut self) {
+        if !self.has_times() {
+            return;
+        }
         self.faults.guessed_stamps += 1;
         if self.faults.guessed_stamps == 1 {
             tracing::warn!(
@@ -286,14 +256,19 @@ impl VideoFile {
                 self.decoding.at()
             );
         }
-        Ok(ticks)
     }
 
+    /// The time that a container's ticks, or a picture's place in a raw stream of stated rate, mean.
     fn timed(&self, ticks: i64) -> Result<Timestamp, SourceError> {
+        let out_of_range = || SourceError::TimeRange { path: self.path.clone(), seq: self.seq };
+        if let Some(rate) = self.stated {
+            let ns = u64::try_from(ticks).ok().and_then(|number| rate.stamp_ns(number)).ok_or_else(out_of_range)?;
+            return Ok(Timestamp { ns, clock: Clock::StatedRate });
+        }
         let av::Rational(numerator, denominator) = self.decoding.time_base;
         let ns = ticks_to_ns(ticks, numerator.into(), denominator.into())
             .and_then(|ns| ns.checked_add(self.origin_ns))
-            .ok_or_else(|| SourceError::TimeRange { path: self.path.clone(), seq: self.seq })?;
+            .ok_or_else(out_of_range)?;
         Ok(Timestamp { ns, clock: self.clock })
     }
 
@@ -301,6 +276,13 @@ impl VideoFile {
     fn end(&mut self) -> Result<Option<Frame>, SourceError> {
         self.ended = true;
         self.faults().report(&self.path);
+        if self.stated.is_some() && self.faults.pictures_left_out > 0 {
+            tracing::warn!(
+                "{}: a raw stream has no times: if the damage left no trace of some pictures, those after it are too \
+                 early by as many frames",
+                self.path.display()
+            );
+        }
         let path = self.path.clone();
         if let Some(why) = self.decoding.ends_early.take() {
             let last_good_s = self.last_good_ns.map(seconds);
@@ -355,7 +337,7 @@ impl VideoFile {
             let Some(decoded) = next else {
                 return self.end();
             };
-            let Some(stamp) = self.stamp_if_any(&decoded.frame)? else { continue };
+            let Some(stamp) = self.stamp_if_any(&decoded)? else { continue };
             if self.span.from_ns.is_some_and(|from| stamp.ns < from) {
                 self.before_ns = Some(stamp.ns);
                 continue;
@@ -396,8 +378,8 @@ impl VideoFile {
     }
 
     /// The stamp of a frame; `None` for the first frames of a stream without any, which are left out and counted.
-    fn stamp_if_any(&mut self, frame: &av::frame::Video) -> Result<Option<Timestamp>, SourceError> {
-        match self.stamp(frame) {
+    fn stamp_if_any(&mut self, picture: &Decoded) -> Result<Option<Timestamp>, SourceError> {
+        match self.stamp(picture) {
             // The first packets of some senders have none.
             Err(SourceError::NoTime { .. }) if self.clock == Clock::Stream && self.seq == 0 => {
                 self.faults.unstamped += 1;
@@ -433,9 +415,6 @@ impl VideoFile {
 
     /// The frame of a damaged packet that gave no picture, if one comes before `pts`.
     fn undecoded_before(&mut self, pts: Option<i64>) -> Result<Option<Frame>, SourceError> {
-        if self.stated.is_some() {
-            return Ok(None);
-        }
         while let Some(first) = self.decoding.failed_before(pts) {
             let Some((format, colour)) = self.layout.filter(|_| self.keep_damaged) else { continue };
             let stamp = self.timed(first)?;

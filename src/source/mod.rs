@@ -33,6 +33,7 @@ mod quantisation;
 mod reads;
 mod stamps;
 pub mod times;
+mod turns;
 mod window;
 
 use std::path::Path;

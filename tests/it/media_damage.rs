@@ -11,8 +11,11 @@ use std::path::Path;
 
 /// Stamp, whether it is damaged, and the samples of every sound frame.
 fn read(path: &Path, decoder_threads: usize) -> Vec<(i64, bool, Vec<u8>)> {
-    let options = VideoOptions { decoder_threads, keep_damaged: true, ..VideoOptions::default() };
-    let mut source = match VideoFile::open(path, options) {
+    read_with(path, VideoOptions { decoder_threads, ..VideoOptions::default() })
+}
+
+fn read_with(path: &Path, options: VideoOptions) -> Vec<(i64, bool, Vec<u8>)> {
+    let mut source = match VideoFile::open(path, VideoOptions { keep_damaged: true, ..options }) {
         Ok(source) => source,
         Err(_) => return Vec::new(),
     };
@@ -255,6 +258,76 @@ fn an_avi_whose_pictures_are_reordered_gives_all_of_them_in_turn() {
             (0..50).map(|k| 20_000_000 * k).collect::<Vec<_>>(),
             "{encoder}"
         );
+    }
+}
+
+/// Where the coded pictures of an AVI or a raw H.264 stream are, without heads and parameters.
+fn coded(bytes: &[u8]) -> Vec<std::ops::Range<usize>> {
+    if bytes.starts_with(b"RIFF") {
+        let [from, to] = [b"movi", b"idx1"].map(|name| bytes.windows(4).position(|four| four == name).unwrap());
+        let chunks = (from..to).filter(|at| &bytes[*at..*at + 4] == b"00dc");
+        let length = |at: usize| u32::from_le_bytes(bytes[at + 4..at + 8].try_into().unwrap()) as usize;
+        return chunks.map(|at| at + 8..at + 8 + length(at)).collect();
+    }
+    let starts: Vec<usize> =
+        (0..bytes.len() - 3).filter(|at| bytes[*at..*at + 3] == [0, 0, 1]).map(|at| at + 3).collect();
+    let ends = starts.iter().skip(1).map(|at| at - 3).chain([bytes.len()]);
+    starts.iter().zip(ends).map(|(from, to)| *from..to).filter(|unit| matches!(bytes[unit.start] & 31, 1 | 5)).collect()
+}
+
+/// The frames of a recording or of a raw stream at 50 Hz.
+fn read_timeless(path: &Path, decoder_threads: usize) -> Vec<(i64, bool, Vec<u8>)> {
+    let raw = path.extension().is_some_and(|ending| ending == "h264");
+    let stated_rate = raw.then(|| "50".parse().unwrap());
+    read_with(path, VideoOptions { decoder_threads, stated_rate, ..VideoOptions::default() })
+}
+
+/// Each picture in a stream without presentation times is known by its packet, and what follows a key frame has the
+/// right time again.
+#[test]
+fn damage_in_streams_without_times_costs_its_own_pictures_with_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let pts: Vec<i64> = (0..72).collect();
+    for (name, encoder, b_frames) in [
+        ("raw.h264", "libx264", 0),
+        ("reordered.h264", "libx264", 2),
+        ("plain.avi", "libx264", 0),
+        ("reordered.avi", "libx264", 2),
+        ("mpeg4.avi", "mpeg4", 2),
+    ] {
+        let path = folder.path().join(name);
+        let size_px = [160, 120];
+        write(&path, &Recording { pts: &pts, size_px, time_base: (1, 50), encoder, b_frames, ..Recording::default() });
+        let bytes = std::fs::read(&path).unwrap();
+        let sound = read_timeless(&path, 1);
+        let stamps = |frames: &[(i64, bool, Vec<u8>)]| frames.iter().map(|frame| frame.0).collect::<Vec<_>>();
+        assert!(sound.len() == 72 && sound.iter().all(|frame| !frame.1), "{name}");
+        let coded = coded(&bytes);
+        assert_eq!(coded.len(), 72, "{name}");
+        for at in 25..36 {
+            for kind in 0..3 {
+                let mut damaged = bytes.clone();
+                let picture = &mut damaged[coded[at].clone()];
+                let length = picture.len();
+                match kind {
+                    // Without the head of its slice a raw picture could not be told from the one before.
+                    0 => picture[if bytes.starts_with(b"RIFF") { 1 } else { 6 }..].fill(0x55),
+                    1 => picture[length / 2..].iter_mut().for_each(|byte| *byte ^= 0x5a),
+                    _ => picture[length / 3] ^= 0x10,
+                }
+                std::fs::write(&path, &damaged).unwrap();
+                let found = [1, 2, 4].map(|threads| read_timeless(&path, threads));
+                let what = format!("{name}, packet {at}, kind {kind}");
+                // A changed bit may leave the stream valid.
+                assert!(kind > 0 || lies(&found[0], &sound) == 0, "{what}");
+                assert_eq!(stamps(&found[0]), stamps(&sound), "{what}");
+                for (frames, threads) in found[1..].iter().zip([2, 4]) {
+                    let wrong: Vec<_> =
+                        frames.iter().zip(&found[0]).filter(|(a, b)| a != b).map(|(a, _)| a.0).collect();
+                    assert!(wrong.is_empty() && frames.len() == 72, "{what}, {threads} threads: {wrong:?}");
+                }
+            }
+        }
     }
 }
 

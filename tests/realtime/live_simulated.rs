@@ -4,6 +4,7 @@
 use catoptra::series::Recording;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::time::Duration;
 
 fn rig() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml")
@@ -73,6 +74,30 @@ fn a_live_run_is_collected_like_any_other() {
     let said = String::from_utf8(collected.stdout).unwrap();
     let frames = summary["measured"]["frames"].as_u64().unwrap();
     assert!(frames > 1 && said.starts_with(&format!("1 run, {frames} frames")), "{said}");
+}
+
+#[test]
+fn a_run_whose_currents_are_lost_goes_on_and_has_failed() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("i.csv");
+    std::fs::write(&table, "host_ns,i1_a\n").unwrap();
+    let live = ["live", "sim:rest", "--duration", "3", "--fps", "8", "--currents", "file:i.csv", "-o", "live"];
+    let output = std::thread::scope(|scope| {
+        let run = scope.spawn(|| catoptra(folder.path(), &live));
+        while !folder.path().join("live/log.mcap").exists() && !run.is_finished() {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let other = folder.path().join("other.csv");
+        std::fs::write(&other, "host_ns,i1_a\n").unwrap();
+        std::fs::rename(&other, &table).unwrap();
+        run.join().unwrap()
+    });
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("another file has taken the place") && said.contains("the currents were lost"), "{said}");
+    let summary = std::fs::read_to_string(folder.path().join("live/summary.json")).unwrap();
+    assert!(summary.contains("the currents were lost"), "{summary}");
+    assert!(Recording::read(&folder.path().join("live/log.mcap")).unwrap().frames.len() > 8);
 }
 
 #[test]

@@ -242,6 +242,11 @@ fn verdict_of(args: &Args, rig: &Rig, live: LiveSummary) -> Result<(), Failure> 
         let text = format!("missing in the files, because the log could not keep up: {}", missing.join(", "));
         return Err(Failure::new(Exit::Failed, text));
     }
+    if live.lost_currents {
+        let from = args.currents.as_ref().map_or_else(String::new, ToString::to_string);
+        let text = format!("{from}: the currents were lost during the run; the log has those before");
+        return Err(Failure::new(Exit::Failed, text));
+    }
     if let Some(text) = no_frame(args, &live).filter(|_| matches!(live.run.end, End::Complete)) {
         return Err(Failure::new(Exit::Unusable, text));
     }

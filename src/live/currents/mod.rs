@@ -10,7 +10,8 @@
 //! From ROS 2 comes a `sensor_msgs/JointState`: the effort of each joint is the current of a coil, and the stamp,
 //! unless it is 0, the host's time.
 //!
-//! A line that is no sample is counted and the first of them is named; nothing here can hold up or end a run.
+//! A line that is no sample is counted and the first of them is named; nothing here can hold up or end a run. A
+//! source that fails is told, and the run has failed at its end.
 //!
 //! A serial device is mostly opened while it sends: bare numbers whose beginning was not seen (`5, 0.3` of `-0.125,
 //! 0.3`) would be a wrong current, and are left out.
@@ -20,6 +21,8 @@ mod followed;
 mod parser;
 mod sample;
 mod sequence;
+#[cfg(unix)]
+mod serial;
 
 pub(crate) use parser::currents_of;
 
@@ -29,7 +32,6 @@ use crate::source::host::HostClock;
 use followed::Followed;
 use parser::{Parser, Start};
 use std::fmt;
-use std::fs::File;
 use std::io::{self, Cursor};
 use std::net::{Ipv4Addr, SocketAddr, ToSocketAddrs as _, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -155,8 +157,7 @@ impl CurrentSource {
             }
             Self::Serial(device, baud) => {
                 let line = serial(device, *baud)?;
-                // Short, because what comes meanwhile is stamped late; not zero, because an unplugged device ends at
-                // once.
+                // Short, because what comes meanwhile is stamped late.
                 Box::new(move || parser.lines(line, Start::Anywhere, POLL_INTERVAL, &stop))
             }
             Self::File(table) => {
@@ -179,23 +180,13 @@ impl CurrentSource {
     }
 }
 
-/// A serial device at this speed, bytes as they come.
 #[cfg(unix)]
-fn serial(device: &Path, baud: u32) -> io::Result<File> {
-    use rustix::termios::{OptionalActions, SpecialCodeIndex, tcgetattr, tcsetattr};
-    let line = File::options().read(true).write(true).open(device)?;
-    let mut settings = tcgetattr(&line)?;
-    settings.make_raw();
-    settings.set_speed(baud)?;
-    // A read returns after a tenth of a second without a byte.
-    settings.special_codes[SpecialCodeIndex::VMIN] = 0;
-    settings.special_codes[SpecialCodeIndex::VTIME] = 1;
-    tcsetattr(&line, OptionalActions::Now, &settings)?;
-    Ok(line)
+fn serial(device: &Path, baud: u32) -> io::Result<serial::SerialLine> {
+    serial::SerialLine::open(device, baud)
 }
 
 #[cfg(not(unix))]
-fn serial(_: &Path, _: u32) -> io::Result<File> {
+fn serial(_: &Path, _: u32) -> io::Result<std::fs::File> {
     Err(io::Error::other("serial lines are read on Linux and macOS only; send datagrams (udp:PORT) instead"))
 }
 
