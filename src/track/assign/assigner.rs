@@ -5,7 +5,8 @@
 //! programming: reprojection error, size, distance from where the marker was, and whether the tube allows the distance
 //! of neighbours. A second choice that is nearly as good, with the marker elsewhere or with another marker in its
 //! stead, makes it ambiguous. The base band rests where the base frame says; a band like it elsewhere is another
-//! catheter's, and what may belong to that one is ambiguous, too.
+//! catheter's, and what may belong to that one is ambiguous, too. So is a band whose neighbours are both missing, unless
+//! it goes on from where it was: a thing of its colour may stand where the tube could reach.
 //!
 //! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
 
@@ -43,7 +44,8 @@ const REST_SD_M: (f64, f64) = (10e-3, 5e-3);
 const MAX_REST_COST: f64 = 25.0;
 /// So far from there a band is not the base band.
 const OTHER_BASE_M: f64 = 20e-3;
-/// With another catheter in view, a marker is that of the first if it is within this of where it was.
+/// With another catheter in view, and without its neighbours, a marker is that of the tube if it is within this of where
+/// it was.
 const GOES_ON_M: f64 = 12e-3;
 /// Two choices further apart than this are different positions; the second must cost this much more.
 const DIFFERENT_M: f64 = 3e-3;
@@ -103,6 +105,11 @@ impl Assigner {
         }
     }
 
+    /// Whether the tube does not reach there from where its base band rests, if that is known.
+    fn is_out_of_reach(&self, rig: &Rig, marker: usize, point: &Point3<f64>) -> bool {
+        self.rest.is_some_and(|rest| (point - rest).norm() > reach_between_m(rig, 0, marker) + OTHER_BASE_M)
+    }
+
     fn recent(&self, marker: usize, stamp: Timestamp) -> Option<(Point3<f64>, f64)> {
         let (point, seen) = (*self.last.get(marker)?)?;
         let age = stamp.seconds_since(seen);
@@ -131,6 +138,13 @@ impl Assigner {
             (0..rig.markers.len()).map(|m| self.candidates(rig, m, blobs, stamp, &mut rejected[m])).collect();
         let best = choose(rig, &candidates, None);
         let place = |m: usize| best.choice[m].map(|chosen| candidates[m][chosen].assigned.point);
+        let goes_on = |m: usize, here: &Point3<f64>| {
+            self.recent(m, stamp).is_some_and(|(place, _)| (here - place).norm() < GOES_ON_M)
+        };
+        let is_alone = |m: usize, here: &Point3<f64>| {
+            let has_neighbour = neighbours(rig, m).any(|n| best.choice[n].is_some());
+            m > 0 && !has_neighbour && !goes_on(m, here)
+        };
         let others = self.other_bases(&candidates, best.choice.first().copied().flatten());
         (0..rig.markers.len())
             .map(|m| {
@@ -152,9 +166,8 @@ impl Assigner {
                         candidates[m].iter().filter(|c| c.cost < candidates[m][chosen].cost + CLEAR_COST).count();
                     return Err(Miss::Ambiguous { candidates: close.max(2) });
                 }
-                let goes_on = |(place, _): (Point3<f64>, f64)| (here.point - place).norm() < GOES_ON_M;
-                let may_be_another_s = m > 0 && others.iter().any(|other| reaches(rig, m, other, &here.point));
-                if may_be_another_s && !self.recent(m, stamp).is_some_and(goes_on) {
+                let may_be_another_s = m > 0 && others.iter().any(|other| reaches(rig, (0, m), other, &here.point));
+                if is_alone(m, &here.point) || may_be_another_s && !goes_on(m, &here.point) {
                     return Err(Miss::Ambiguous { candidates: 2 });
                 }
                 Ok(here.clone())
@@ -180,9 +193,8 @@ impl Assigner {
     ) -> Vec<(Point3<f64>, f64)> {
         let recent = self.recent(marker, stamp);
         let recent = recent.map(|(point, age)| (point, reach_m(age) + rig.markers[marker].length_m));
-        let neighbours = [marker.checked_sub(1), Some(marker + 1).filter(|&n| n < rig.markers.len())];
         let reached = |n: usize| Some((place(n)?, longest(rig, n.min(marker))));
-        recent.into_iter().chain(neighbours.into_iter().flatten().filter_map(reached)).collect()
+        recent.into_iter().chain(neighbours(rig, marker).filter_map(reached)).collect()
     }
 
     /// Combinations of blobs whose rays meet where the marker's band would have their size.
@@ -261,6 +273,11 @@ impl Assigner {
         cost += off.powi(2) + 6.0 * (reach_m / PLACE_SD_M).ln();
         if marker == 0 {
             cost += self.rest_cost(&met.point);
+        } else if self.is_out_of_reach(rig, marker, &met.point) {
+            if self.rested {
+                return Err(None);
+            }
+            cost += MAX_REST_COST;
         }
         Ok(Candidate { assigned: Assigned { point: met.point, blobs: picked.to_vec() }, cost })
     }
@@ -326,57 +343,67 @@ struct Choice {
     cost: f64,
 }
 
-/// The cheapest choice of one candidate, or none, per marker; the tube must allow the distance of neighbours. `except`:
-/// a marker that must not be near a position.
+/// The cheapest choice of one candidate, or none, per marker; the tube must allow the distance of those that follow one
+/// another. `except`: a marker that must not be near a position.
 fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point3<f64>)>) -> Choice {
-    // States of marker m: its candidates, then "none". A "none" passes on the last chosen neighbour unchecked.
-    // Of each the cost so far, and the state of the marker before that it comes from.
-    let mut costs: Vec<Vec<(f64, usize)>> = Vec::with_capacity(candidates.len());
+    let all = candidates.len();
+    let missing = |from: usize, to: usize| MISSING_COST * to.saturating_sub(from) as f64;
+    let own = |m: usize, candidate: &Candidate| match except {
+        Some((marker, place)) if marker == m && (candidate.assigned.point - place).norm() < DIFFERENT_M => {
+            f64::INFINITY
+        }
+        _ => candidate.cost,
+    };
+    // Of each candidate the cost so far, and the one before it on the tube; those between are missing.
+    let mut costs: Vec<Vec<(f64, Option<(usize, usize)>)>> = Vec::with_capacity(all);
     for (m, list) in candidates.iter().enumerate() {
-        let own = |k: usize| match list.get(k) {
-            None => MISSING_COST,
-            Some(c) => match except {
-                Some((marker, place)) if marker == m && (c.assigned.point - place).norm() < DIFFERENT_M => {
-                    f64::INFINITY
+        let best = |candidate: &Candidate| {
+            let mut best = (missing(0, m), None);
+            for (p, before) in candidates.iter().enumerate().take(m) {
+                for (j, a) in before.iter().enumerate() {
+                    let cost = costs[p][j].0 + missing(p + 1, m);
+                    if cost < best.0 && may_follow(rig, (p, m), &a.assigned.point, &candidate.assigned.point) {
+                        best = (cost, Some((p, j)));
+                    }
                 }
-                _ => c.cost,
-            },
-        };
-        let best = |k: usize| match m.checked_sub(1).map(|p| (p, &costs[p])) {
-            None => (own(k), 0),
-            Some((p, costs)) => {
-                let through = |j: usize| costs[j].0 + apart(rig, p, &candidates[p], j, list, k);
-                let before = (0..costs.len()).map(|j| (through(j), j)).min_by(|a, b| a.0.total_cmp(&b.0));
-                before.map_or((own(k), 0), |(cost, j)| (cost + own(k), j))
             }
+            (best.0 + own(m, candidate), best.1)
         };
-        let row = (0..=list.len()).map(best).collect();
+        let row = list.iter().map(best).collect();
         costs.push(row);
     }
-    let mut choice = vec![None; candidates.len()];
-    let last = costs.last().map_or(&[][..], Vec::as_slice);
-    let ends = last.iter().map(|(cost, _)| *cost).enumerate();
-    let Some((mut state, cost)) = ends.min_by(|a, b| a.1.total_cmp(&b.1)) else {
-        return Choice { choice, cost: 0.0 };
-    };
-    for m in (0..candidates.len()).rev() {
-        choice[m] = (state < candidates[m].len()).then_some(state);
-        state = costs[m][state].1;
+    let ends = costs.iter().enumerate().flat_map(|(m, row)| {
+        row.iter().enumerate().map(move |(k, (cost, _))| (cost + missing(m + 1, all), Some((m, k))))
+    });
+    let (cost, mut last) = ends.fold((missing(0, all), None), |best, end| if end.0 < best.0 { end } else { best });
+    let mut choice = vec![None; all];
+    while let Some((m, k)) = last {
+        choice[m] = Some(k);
+        last = costs[m][k].1;
     }
     Choice { choice, cost }
 }
 
-/// Cost of marker `p` at candidate `j` and the next marker on the tube at `k`: infinite where the tube is too short.
-fn apart(rig: &Rig, p: usize, before: &[Candidate], j: usize, list: &[Candidate], k: usize) -> f64 {
-    let (Some(a), Some(b)) = (before.get(j), list.get(k)) else { return 0.0 };
-    let distance = (a.assigned.point - b.assigned.point).norm();
-    let shortest = (rig.markers[p].length_m + rig.markers[p + 1].length_m) / 2.0 * 0.5;
-    if (shortest..longest(rig, p)).contains(&distance) { 0.0 } else { f64::INFINITY }
+/// Whether the tube allows markers `p` and `m`, the next that is seen, at these places.
+fn may_follow(rig: &Rig, (p, m): (usize, usize), a: &Point3<f64>, b: &Point3<f64>) -> bool {
+    let shortest = (rig.markers[p].length_m + rig.markers[m].length_m) / 2.0 * 0.5;
+    (a - b).norm() >= shortest && reaches(rig, (p, m), a, b)
 }
 
-/// Whether the tube of a catheter whose base band is here may have its marker `m` there.
-fn reaches(rig: &Rig, m: usize, base: &Point3<f64>, point: &Point3<f64>) -> bool {
-    (base - point).norm() < (0..m).map(|p| longest(rig, p)).sum()
+/// Whether the tube that has marker `p` at `from` may have a later one, `m`, at `to`.
+fn reaches(rig: &Rig, (p, m): (usize, usize), from: &Point3<f64>, to: &Point3<f64>) -> bool {
+    (from - to).norm() < reach_between_m(rig, p, m)
+}
+
+/// Largest distance of marker `p` from a later one.
+fn reach_between_m(rig: &Rig, p: usize, m: usize) -> f64 {
+    (p..m).map(|k| longest(rig, k)).sum()
+}
+
+/// The markers next to one on the tube.
+fn neighbours(rig: &Rig, marker: usize) -> impl Iterator<Item = usize> {
+    let next = Some(marker + 1).filter(|&n| n < rig.markers.len());
+    marker.checked_sub(1).into_iter().chain(next)
 }
 
 /// Largest distance of marker `p` from the next one that the tube between them allows, metres.
