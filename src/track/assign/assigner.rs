@@ -343,6 +343,9 @@ struct Choice {
     cost: f64,
 }
 
+/// A marker's candidate along the tube: the cost so far, and marker and candidate before it.
+type Step = (f64, Option<(usize, usize)>);
+
 /// The cheapest choice of one candidate, or none, per marker; the tube must allow the distance of those that follow one
 /// another. `except`: a marker that must not be near a position.
 fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point3<f64>)>) -> Choice {
@@ -355,7 +358,7 @@ fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point
         _ => candidate.cost,
     };
     // Of each candidate the cost so far, and the one before it on the tube; those between are missing.
-    let mut costs: Vec<Vec<(f64, Option<(usize, usize)>)>> = Vec::with_capacity(all);
+    let mut costs: Vec<Vec<Step>> = Vec::with_capacity(all);
     for (m, list) in candidates.iter().enumerate() {
         let best = |candidate: &Candidate| {
             let mut best = (missing(0, m), None);
