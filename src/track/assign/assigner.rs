@@ -5,8 +5,8 @@
 //! programming: reprojection error, size, distance from where the marker was, and whether the tube allows the distance
 //! of neighbours. A second choice that is nearly as good, with the marker elsewhere or with another marker in its
 //! stead, makes it ambiguous. The base band rests where the base frame says; a band like it elsewhere is another
-//! catheter's, and what may belong to that one is ambiguous, too. So is a band whose neighbours are both missing, unless
-//! it goes on from where it was: a thing of its colour may stand where the tube could reach.
+//! catheter's, and what may belong to that one is ambiguous, too. So is the last band without its neighbour, unless it goes
+//! on from where it was: a thing of its colour may stand where the tube could reach.
 //!
 //! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
 
@@ -44,8 +44,8 @@ const REST_SD_M: (f64, f64) = (10e-3, 5e-3);
 const MAX_REST_COST: f64 = 25.0;
 /// So far from there a band is not the base band.
 const OTHER_BASE_M: f64 = 20e-3;
-/// With another catheter in view, and without its neighbours, a marker is that of the tube if it is within this of where
-/// it was.
+/// With another catheter in view, or the last one without its neighbour, a marker is that of the tube if it is within
+/// this of where it was.
 const GOES_ON_M: f64 = 12e-3;
 /// Two choices further apart than this are different positions; the second must cost this much more.
 const DIFFERENT_M: f64 = 3e-3;
@@ -142,8 +142,8 @@ impl Assigner {
             self.recent(m, stamp).is_some_and(|(place, _)| (here - place).norm() < GOES_ON_M)
         };
         let is_alone = |m: usize, here: &Point3<f64>| {
-            let has_neighbour = neighbours(rig, m).any(|n| best.choice[n].is_some());
-            m > 0 && !has_neighbour && !goes_on(m, here)
+            let is_last = m > 0 && m + 1 == rig.markers.len();
+            is_last && best.choice[m - 1].is_none() && !goes_on(m, here)
         };
         let others = self.other_bases(&candidates, best.choice.first().copied().flatten());
         (0..rig.markers.len())
