@@ -5,8 +5,8 @@
 //! programming: reprojection error, size, distance from where the marker was, and whether the tube allows the distance
 //! of neighbours. A second choice that is nearly as good, with the marker elsewhere or with another marker in its
 //! stead, makes it ambiguous. The base band rests where the base frame says; a band like it elsewhere is another
-//! catheter's, and what may belong to that one is ambiguous, too. So is the last band without its neighbour, unless it goes
-//! on from where it was: a thing of its colour may stand where the tube could reach.
+//! catheter's, and what may belong to that one is ambiguous, too. So is the last band without its neighbour, unless it
+//! goes on from where it was: a thing of its colour may stand where the tube could reach.
 //!
 //! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
 
