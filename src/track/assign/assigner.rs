@@ -138,13 +138,6 @@ impl Assigner {
             (0..rig.markers.len()).map(|m| self.candidates(rig, m, blobs, stamp, &mut rejected[m])).collect();
         let best = choose(rig, &candidates, None);
         let place = |m: usize| best.choice[m].map(|chosen| candidates[m][chosen].assigned.point);
-        let goes_on = |m: usize, here: &Point3<f64>| {
-            self.recent(m, stamp).is_some_and(|(place, _)| (here - place).norm() < GOES_ON_M)
-        };
-        let is_alone = |m: usize, here: &Point3<f64>| {
-            let is_last = m > 0 && m + 1 == rig.markers.len();
-            is_last && best.choice[m - 1].is_none() && !goes_on(m, here)
-        };
         let others = self.other_bases(&candidates, best.choice.first().copied().flatten());
         (0..rig.markers.len())
             .map(|m| {
@@ -166,8 +159,10 @@ impl Assigner {
                         candidates[m].iter().filter(|c| c.cost < candidates[m][chosen].cost + CLEAR_COST).count();
                     return Err(Miss::Ambiguous { candidates: close.max(2) });
                 }
+                let goes_on = |(place, _): (Point3<f64>, f64)| (here.point - place).norm() < GOES_ON_M;
                 let may_be_another_s = m > 0 && others.iter().any(|other| reaches(rig, (0, m), other, &here.point));
-                if is_alone(m, &here.point) || may_be_another_s && !goes_on(m, &here.point) {
+                let is_alone = m > 0 && m + 1 == rig.markers.len() && best.choice[m - 1].is_none();
+                if (is_alone || may_be_another_s) && !self.recent(m, stamp).is_some_and(goes_on) {
                     return Err(Miss::Ambiguous { candidates: 2 });
                 }
                 Ok(here.clone())
