@@ -74,7 +74,7 @@ pub enum End {
 
 /// Tracks `source` to its end, or until `interrupt` is set (which is checked before every frame).
 ///
-/// `progress` is called in the caller's thread after every frame. Fits run in parallel in the caller's [`rayon`] pool.
+/// `progress` is called in the caller's thread after every frame, and once more when the run is over. Fits run in parallel in the caller's [`rayon`] pool.
 /// Failures of source, tracker and sinks are in the [`Summary`]: what was tracked before is written and stays valid.
 ///
 /// # Errors
@@ -127,6 +127,9 @@ pub fn run(
             }
             progress(&tally);
         };
+
+        tally.end();
+        progress(&tally);
 
         // Without a receiver the source stops at its next frame; without a sender the sinks write what is queued and
         // finish.
@@ -357,12 +360,11 @@ mod tests {
     fn tracked(source: Source, sinks: Vec<Notes>, interrupt: &AtomicBool) -> Summary {
         let mut tracker = Tracker::new(&rig(), TrackOptions::default()).unwrap();
         let sinks = sinks.into_iter().map(|sink| Box::new(sink) as Box<dyn Sink + Send>).collect();
-        let mut calls = 0;
-        let summary = run(Box::new(source), &mut tracker, sinks, interrupt, |tally| {
-            calls += 1;
-            assert_eq!(tally.frames, calls);
-        });
-        summary.unwrap()
+        let mut calls = Vec::new();
+        let summary = run(Box::new(source), &mut tracker, sinks, interrupt, |tally| calls.push(tally.frames)).unwrap();
+        let frames = summary.tally.frames;
+        assert_eq!(calls, (1..=frames).chain([frames]).collect::<Vec<_>>());
+        summary
     }
 
     #[test]

@@ -211,7 +211,8 @@ pub fn run(
     let lost_currents = currents.is_some_and(|thread| returned(thread.join()));
     let unrecorded = recorder.and_then(|thread| returned(thread.join()));
     let (sinks, mut sink_failures) = returned(writer.join());
-    let (tally, latency) = counters.totals();
+    let (mut tally, latency) = counters.totals();
+    tally.end();
     sink_failures.extend(finish_all(sinks, &tally));
     sink_failures.extend(unrecorded);
     finish_all(controllers, &tally).iter().for_each(RowOutputs::report);

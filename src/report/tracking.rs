@@ -9,7 +9,7 @@ use super::page::{self, facts_table, figure, signed, table, trouble};
 use crate::estimate::plain_words;
 use crate::plural::{are, plural};
 use crate::tally::budget::{Contribution, together, together_name};
-use crate::tally::{AlarmInWords, Drifted, FRAMES_JUDGED, MISSING_OF_LOG, MissCount, Tally};
+use crate::tally::{AlarmInWords, Drifted, MISSING_OF_LOG, MissCount, Tally};
 use std::collections::BTreeSet;
 
 /// The title of the page, and what is on it; `pictures` is a section of it.
@@ -330,26 +330,18 @@ fn views(course: &Course, tally: &Tally) -> String {
 fn alarms(course: &Course, tally: &Tally) -> String {
     let alarms: Vec<AlarmInWords> = tally.alarms().collect();
     if alarms.is_empty() {
-        let (most, fewest) = FRAMES_JUDGED;
-        let views = if tally.drift.views_are_judged() {
-            format!(
-                "The views fit together all the time: no disagreement of more than 0.3 px in the mean over {most} \
-                 frames."
-            )
-        } else {
-            format!(
-                "Whether the views fit together was not judged: fewer than {fewest} frames show bands in two of them."
-            )
+        let views = match tally.drift.views_limit_px() {
+            Some(px) => format!("The views fit together: no mean disagreement of more than {px:.1} px at any time."),
+            None => "Whether the views fit together was not judged: no frame shows bands in two of them.".to_owned(),
         };
         let base = match (course.has_base(), tally.drift.base_limit_m()) {
             (_, Some(limit_m)) => format!(
-                "The base band rests where the base frame has its origin, within {:.1} mm in this mean.",
+                "The base band rests where the base frame has its origin, within {:.1} mm in the mean.",
                 limit_m * 1e3
             ),
-            (true, None) => format!(
-                "Whether the base band rests where the base frame has its origin was not judged: fewer than {fewest} \
-                 frames show it, or the first band is not one that rests."
-            ),
+            (true, None) => "Whether the base band rests where the base frame has its origin was not judged: no frame \
+                             shows it, or the first band is not one that rests."
+                .to_owned(),
             (false, None) => {
                 "(A mirror that was shifted along its normal can go unnoticed here: it moves the answer, not \
                  the residual. With a base frame in the rig the place of the base band shows it.)"

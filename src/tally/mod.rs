@@ -9,7 +9,6 @@
 pub mod budget;
 mod drift;
 
-pub(crate) use drift::FRAMES_JUDGED;
 pub use drift::{Drift, DriftAlarm, Drifted};
 
 use crate::estimate::{Estimate, Miss, Spot, Tick};
@@ -272,6 +271,11 @@ impl Tally {
             self.reported_ns = Some(estimate.stamp.ns);
         }
         due
+    }
+
+    /// The run is over: judges whether the rig is still as it was calibrated, if it was too short for that before.
+    pub fn end(&mut self) {
+        self.drift.end();
     }
 
     fn count_misses(&mut self, estimate: &Estimate) {

@@ -27,6 +27,8 @@ const STILL_AXIS: f64 = 0.02;
 const OTHER_UNIT: f64 = 20.0;
 /// More commands than this fraction without a point are noted.
 const MANY_LEFT_OUT: f64 = 0.25;
+/// Points that lie further than this fraction of the radius from their circle (RMS) are noted.
+const FAR_FROM_CIRCLE: f64 = 0.1;
 /// Frames per period below which amplitudes suffer.
 const FEW_FRAMES: f64 = 8.0;
 
@@ -124,13 +126,19 @@ pub(crate) struct Run {
     /// The tracker's σ of a coordinate, root mean square, metres.
     pub sd_m: Option<f64>,
     /// What noise makes of the magnitude, in parts of it, and of the phase, radians: the larger of what `sd_m` gives
-    /// and of what does not repeat.
+    /// and of what does not repeat. `None` with fewer than two periods.
     pub response_sd: Option<f64>,
     /// Notes about this run for the reader.
     pub notes: Vec<String>,
 }
 
 impl Run {
+    /// σ of the phase, radians, where it means something.
+    pub(super) fn phase_sd(&self) -> Option<f64> {
+        self.lag.filter(|lag| lag.correlation >= WEAK_CORRELATION)?;
+        self.phase_deg.and(self.response_sd)
+    }
+
     /// σ of the magnitude, in parts of it: what noise makes of it, and by how much noise makes the motion too large.
     pub(super) fn magnitude_sd(&self) -> Option<f64> {
         let magnitude = self.magnitude?;
@@ -222,6 +230,8 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     notes.extend(weak_correlation(lag.as_ref()));
     notes.extend(other_unit(&points, &wanted));
     notes.extend(few_frames(frames_per_period));
+    notes.extend(circle.as_ref().and_then(far_from_circle));
+    notes.extend(sd_m.and(lone_period(path, steps.len())));
     // Wrong frames at the same place of each period would look like the response.
     let of_runs: Vec<Sample> =
         samples.iter().filter(|(at, _)| (window.start_ns..window.end_ns()).contains(at)).copied().collect();
@@ -322,6 +332,26 @@ fn other_unit(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> Option<Strin
     })
 }
 
+/// A circle whose radius is hardly the size of the motion.
+fn far_from_circle(circle: &Circle) -> Option<String> {
+    (circle.rms_m > FAR_FROM_CIRCLE * circle.radius_m).then(|| {
+        format!(
+            "the points lie {:.3} mm (RMS) from their circle with a radius of {:.3} mm: the motion is not a circle, \
+             and its magnitude is only that of the circle nearest to it",
+            circle.rms_m * 1e3,
+            circle.radius_m * 1e3
+        )
+    })
+}
+
+fn lone_period(path: &DesiredPath, commands: usize) -> Option<String> {
+    (commands < 2 * path.points.len()).then(|| {
+        "fewer than two periods count, so nothing shows what does not repeat: magnitude and phase have no σ (record \
+         more periods, or leave fewer out with --skip)"
+            .to_owned()
+    })
+}
+
 fn few_frames(per_period: f64) -> Option<String> {
     (per_period < FEW_FRAMES).then(|| format!("{per_period:.1} camera frames per period: too few for a good amplitude"))
 }
@@ -387,7 +417,8 @@ fn tangent_rms_rad(
 }
 
 /// σ of a size and of a turn, from `frames` places with independent errors of `sd_m` in each coordinate (one coordinate
-/// of each counts, along the radius for the one and across it for the other), and from what does not repeat.
+/// of each counts, along the radius for the one and across it for the other), and from what does not repeat. `None`
+/// with fewer than two periods, in which nothing shows what does not repeat.
 fn response_sd(
     path: &DesiredPath,
     steps: &[Step],
@@ -395,7 +426,7 @@ fn response_sd(
     magnitude: Option<&Magnitude>,
 ) -> Option<f64> {
     let independent_m = sd_m? / (frames as f64).sqrt();
-    let sd_m = unrepeated::sd_m(path, steps).map_or(independent_m, |seen_m| seen_m.max(independent_m));
+    let sd_m = unrepeated::sd_m(path, steps)?.max(independent_m);
     Some(sd_m / magnitude?.observed_m).filter(|sd| sd.is_finite())
 }
 

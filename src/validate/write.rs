@@ -147,7 +147,7 @@ impl Row {
             plane_rms_mm: run.plane.map(|plane| mm(plane.rms_m)),
             lag_ms: run.lag.map(|lag| lag.points * run.pause_s * 1e3),
             phase_deg: run.phase_deg,
-            phase_sd_deg: run.phase_deg.and(run.response_sd).map(f64::to_degrees),
+            phase_sd_deg: run.phase_sd().map(f64::to_degrees),
             correlation: run.lag.map(|lag| lag.correlation).or(run.start_correlation),
             period_change: run.settling.map(|settling| settling.change_m / settling.size_m),
             last_period_db: run.settling.and_then(|settling| settling.last_db),

@@ -14,7 +14,7 @@
 
 use crate::estimate::Estimate;
 use crate::rig::Rig;
-use crate::tally::drift::{ALARM_RELEASE, Drifted, Finding, Window, mean};
+use crate::tally::drift::{ALARM_RELEASE, Drifted, Finding, Sum, Window, mean, mean_of_few};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// A distance is significant beyond this many standard deviations, which include the systematic errors.
@@ -32,12 +32,9 @@ pub(crate) struct BaseBand {
     origin: Point3<f64>,
     /// Covariance of the distance without the scatter of the blocks.
     systematic: Matrix3<f64>,
-    window: Window<Block>,
+    /// The band's offsets from the origin, camera frame, metres.
+    window: Window<Sum<3>>,
 }
-
-/// Σ C⁻¹ and Σ C⁻¹ x, with x the band's offset from the origin, camera frame, metres.
-#[derive(Debug, Clone, Default)]
-struct Block(Matrix3<f64>, Vector3<f64>);
 
 impl BaseBand {
     /// For a rig that tells where its first band rests.
@@ -52,35 +49,32 @@ impl BaseBand {
 
     pub(crate) fn add(&mut self, estimate: &Estimate) {
         let Some(Ok(position)) = estimate.markers.first().map(|marker| &marker.position) else { return };
-        let Some(weight) = position.covariance.try_inverse() else { return };
-        let pull = weight * (position.point - self.origin);
-        if weight.iter().chain(&pull).all(|v| v.is_finite()) {
-            let Block(weights, pulls) = &mut self.window.open;
-            *weights += weight;
-            *pulls += pull;
-        }
-    }
-
-    /// No smaller distance raises an alarm, metres.
-    pub(crate) fn limit_m(&self) -> f64 {
-        MIN_M.max(SIGNIFICANT_SD * self.systematic.diagonal().max().sqrt())
+        self.window.open.add([(position.point - self.origin, position.covariance)]);
     }
 
     /// Ends a block; returns the finding of the last ones.
     pub(crate) fn found(&mut self) -> Option<Finding> {
-        let blocks = self.window.close().iter();
-        let means: Vec<Vector3<f64>> =
-            blocks.filter_map(|Block(weight, pull)| Some(weight.try_inverse()? * pull)).collect();
-        let (away, scatter_m) = mean(&means)?;
+        self.window.close();
+        self.distance(mean(self.window.blocks.iter())?)
+    }
+
+    /// The finding of a run that had too few frames for [`Self::found`].
+    pub(crate) fn found_at_end(&self) -> Option<Finding> {
+        self.distance(mean_of_few(self.window.all())?)
+    }
+
+    fn distance(&self, (away, sd_of_run_m): (Vector3<f64>, f64)) -> Option<Finding> {
         let along = away.try_normalize(0.0)?;
         let systematic_m = along.dot(&(self.systematic * along)).sqrt();
-        let (size_m, sd_m) = (away.norm(), systematic_m.hypot(scatter_m));
+        let (size_m, sd_m) = (away.norm(), systematic_m.hypot(sd_of_run_m));
+        let limit_m = MIN_M.max(SIGNIFICANT_SD * sd_m);
         Some(Finding {
             what: Drifted::Base { sd_m },
             size_m,
-            raises: size_m > SIGNIFICANT_SD * sd_m && size_m > MIN_M,
+            raises: size_m > limit_m,
             // A badly known origin may keep a base band that is in place further off than half of the least distance.
             ends: size_m <= ALARM_RELEASE * MIN_M.max(SIGNIFICANT_SD * systematic_m),
+            limit: Some(limit_m),
         })
     }
 }

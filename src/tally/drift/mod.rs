@@ -8,6 +8,9 @@
 //! - whether the views agree on where the bands are (`views`);
 //! - whether the base band is at the origin of the base frame, if the rig has one (`base`).
 //!
+//! A run that is too short for the scatter of its blocks is judged at its end ([`Drift::end`]), as if the errors were
+//! the same in all its frames.
+//!
 //! What neither can detect: camera, mirror, tank and clamp that moved together.
 
 mod base;
@@ -17,7 +20,7 @@ use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::source::Timestamp;
 use base::BaseBand;
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
 use std::collections::VecDeque;
 use views::Views;
 
@@ -26,8 +29,6 @@ use views::Views;
 const BLOCK: u32 = 10;
 /// Blocks to look back at, most and fewest: 3 s and 1 s at 60 Hz.
 const BLOCKS: (usize, usize) = (18, 6);
-/// Frames that are averaged to judge, most and fewest.
-pub(crate) const FRAMES_JUDGED: (usize, usize) = (BLOCKS.0 * BLOCK as usize, BLOCKS.1 * BLOCK as usize);
 /// An alarm ends when its quantity falls below this fraction of what raises one.
 const ALARM_RELEASE: f64 = 0.5;
 
@@ -35,12 +36,15 @@ const ALARM_RELEASE: f64 = 0.5;
 #[derive(Debug, Clone, Default)]
 pub struct Drift {
     frames: u64,
+    /// Number and camera time of the last frame.
+    last: Option<(u64, Timestamp)>,
     views: Views,
     base: Option<BaseBand>,
     /// The active alarm of the views, and of the base band.
     lasting: [Option<usize>; 2],
-    /// Whether enough was seen of them to judge.
-    judged: [bool; 2],
+    /// What would have raised an alarm about them, at its largest, pixels and metres; `None` where they were not
+    /// judged.
+    limits: [Option<f64>; 2],
     alarms: Vec<DriftAlarm>,
 }
 
@@ -141,6 +145,9 @@ struct Finding {
     raises: bool,
     /// Whether an active alarm ends.
     ends: bool,
+    /// The size from which on it raises an alarm, pixels for the views and metres for the base band; `None` where there
+    /// is no such size.
+    limit: Option<f64>,
 }
 
 impl Drift {
@@ -154,52 +161,66 @@ impl Drift {
         &self.alarms
     }
 
-    /// Whether enough was seen to judge whether the views agree.
-    pub(crate) fn views_are_judged(&self) -> bool {
-        self.judged[0]
+    /// A mean disagreement of the views beyond this would have raised an alarm, pixels; `None` where it was not judged.
+    pub(crate) fn views_limit_px(&self) -> Option<f64> {
+        self.limits[0]
     }
 
-    /// How far the base band may be from its origin without an alarm, metres, if enough was seen to judge that.
+    /// A mean distance of the base band from its origin beyond this would have raised an alarm, metres; `None` where it
+    /// was not judged.
     pub(crate) fn base_limit_m(&self) -> Option<f64> {
-        self.base.as_ref().filter(|_| self.judged[1]).map(BaseBand::limit_m)
+        self.limits[1]
     }
 
     /// Adds a frame; returns the alarms that it raises: one when drift begins, and no other until it is over.
     pub fn add(&mut self, estimate: &Estimate) -> &[DriftAlarm] {
         let before = self.alarms.len();
         self.frames += 1;
+        self.last = Some((estimate.seq, estimate.stamp));
         self.views.add(estimate);
         if let Some(base) = &mut self.base {
             base.add(estimate);
         }
         if self.frames.is_multiple_of(u64::from(BLOCK)) {
             let found = [self.views.found(), self.base.as_mut().and_then(BaseBand::found)];
-            for (judged, found) in self.judged.iter_mut().zip(&found) {
-                *judged |= found.is_some();
-            }
-            for (lasting, found) in self.lasting.iter_mut().zip(found) {
-                follow(lasting, &mut self.alarms, found, estimate);
-            }
+            self.follow(found);
         }
         self.alarms.get(before..).unwrap_or_default()
+    }
+
+    /// The run is over: judges what was not judged in it, from the frames that there are.
+    pub fn end(&mut self) {
+        let [views, base] = self.limits.map(|limit| limit.is_none());
+        let found_base = || self.base.as_ref()?.found_at_end();
+        let found = [views.then(|| self.views.found_at_end()).flatten(), base.then(found_base).flatten()];
+        self.follow(found);
+    }
+
+    fn follow(&mut self, found: [Option<Finding>; 2]) {
+        let Some(frame) = self.last else { return };
+        for ((lasting, limit), found) in self.lasting.iter_mut().zip(&mut self.limits).zip(found) {
+            // What cannot be judged, as with hidden bands, neither begins nor ends.
+            let Some(found) = found else { continue };
+            *limit = [*limit, found.limit].into_iter().flatten().reduce(f64::max);
+            follow(lasting, &mut self.alarms, found, frame);
+        }
     }
 }
 
 /// Raises, keeps or ends the alarm about one thing.
-fn follow(lasting: &mut Option<usize>, alarms: &mut Vec<DriftAlarm>, found: Option<Finding>, estimate: &Estimate) {
-    // What cannot be judged, as with hidden bands, neither begins nor ends.
-    let Some(Finding { what, size_m, raises, ends }) = found else { return };
+fn follow(lasting: &mut Option<usize>, alarms: &mut Vec<DriftAlarm>, found: Finding, (seq, stamp): (u64, Timestamp)) {
+    let Finding { what, size_m, raises, ends, .. } = found;
     if let Some(alarm) = lasting.and_then(|index| alarms.get_mut(index)) {
         if size_m > alarm.size_m {
             (alarm.what, alarm.size_m) = (what, size_m);
         }
         if ends {
-            alarm.over = Some(estimate.stamp);
+            alarm.over = Some(stamp);
             *lasting = None;
         }
     } else if raises {
         *lasting = Some(alarms.len());
-        alarms.push(DriftAlarm { seq: estimate.seq, stamp: estimate.stamp, what, size_m, over: None });
+        alarms.push(DriftAlarm { seq, stamp, what, size_m, over: None });
     }
 }
 
@@ -211,27 +232,95 @@ struct Window<B> {
 }
 
 impl<B: Default> Window<B> {
-    /// Ends the open block; returns the blocks to look back at.
-    fn close(&mut self) -> &VecDeque<B> {
+    /// Ends the open block; the oldest of those to look back at is dropped.
+    fn close(&mut self) {
         self.blocks.push_back(std::mem::take(&mut self.open));
         if self.blocks.len() > BLOCKS.0 {
             self.blocks.pop_front();
         }
-        &self.blocks
+    }
+
+    /// The blocks, and what there is of the open one.
+    fn all(&self) -> impl Iterator<Item = &B> + Clone {
+        self.blocks.iter().chain([&self.open])
+    }
+}
+
+/// A weighted mean of a block: Σ C⁻¹ and Σ C⁻¹ x of values x with covariance C, and in how many frames they were seen.
+#[derive(Debug, Clone)]
+struct Sum<const D: usize> {
+    weight: SMatrix<f64, D, D>,
+    pull: SVector<f64, D>,
+    frames: u32,
+}
+
+impl<const D: usize> Default for Sum<D> {
+    fn default() -> Self {
+        Self { weight: SMatrix::zeros(), pull: SVector::zeros(), frames: 0 }
+    }
+}
+
+impl<const D: usize> Sum<D> {
+    /// Adds the values of a frame, with their covariances. Values without a finite weight have no part.
+    fn add(&mut self, values: impl IntoIterator<Item = (SVector<f64, D>, SMatrix<f64, D, D>)>) {
+        let mut seen = false;
+        for (value, covariance) in values {
+            let Some(weight) = covariance.try_inverse() else { continue };
+            let pull = weight * value;
+            if weight.iter().chain(&pull).all(|v| v.is_finite()) {
+                self.weight += weight;
+                self.pull += pull;
+                seen = true;
+            }
+        }
+        self.frames += u32::from(seen);
+    }
+
+    fn mean(&self) -> Option<SVector<f64, D>> {
+        Some(self.weight.try_inverse()? * self.pull)
     }
 }
 
 /// The mean of blocks' means, and the standard deviation of its length from their scatter; `None` when there are too
 /// few.
-fn mean<const D: usize>(means: &[SVector<f64, D>]) -> Option<(SVector<f64, D>, f64)> {
+fn mean<'a, const D: usize>(blocks: impl Iterator<Item = &'a Sum<D>>) -> Option<(SVector<f64, D>, f64)> {
+    let means: Vec<SVector<f64, D>> = blocks.filter_map(Sum::mean).collect();
     if means.len() < BLOCKS.1 {
         return None;
     }
-    let count = means.len() as f64;
-    let mean = means.iter().sum::<SVector<f64, D>>() / count;
-    let along = mean.try_normalize(0.0).unwrap_or_else(|| SVector::<f64, D>::repeat(1.0).normalize());
+    let mean = means.iter().sum::<SVector<f64, D>>() / means.len() as f64;
+    Some((mean, scatter_along(mean, &means)))
+}
+
+/// The mean of too few blocks for [`mean`], and the standard deviation of its length: that of a single frame, because
+/// errors may be the same in all of them, and the scatter of the blocks where there are several. `None` when nothing
+/// was seen.
+fn mean_of_few<'a, const D: usize>(blocks: impl Iterator<Item = &'a Sum<D>> + Clone) -> Option<(SVector<f64, D>, f64)> {
+    let mut total = Sum::default();
+    for block in blocks.clone() {
+        total.weight += block.weight;
+        total.pull += block.pull;
+        total.frames += block.frames;
+    }
+    let covariance = total.weight.try_inverse()?;
+    let mean = covariance * total.pull;
+    let along = direction(mean);
+    let of_frame = (f64::from(total.frames) * along.dot(&(covariance * along))).sqrt();
+    let means: Vec<SVector<f64, D>> = blocks.filter_map(Sum::mean).collect();
+    let scatter = if means.len() > 1 { scatter_along(mean, &means) } else { 0.0 };
+    Some((mean, of_frame.hypot(scatter)))
+}
+
+/// Standard deviation of a mean of blocks along its direction, from the scatter of the blocks about it.
+fn scatter_along<const D: usize>(mean: SVector<f64, D>, means: &[SVector<f64, D>]) -> f64 {
+    let along = direction(mean);
     let squares: f64 = means.iter().map(|m| (m - mean).dot(&along).powi(2)).sum();
-    Some((mean, (squares / (count - 1.0) / count).sqrt()))
+    let count = means.len() as f64;
+    (squares / (count - 1.0) / count).sqrt()
+}
+
+fn direction<const D: usize>(mean: SVector<f64, D>) -> SVector<f64, D> {
+    mean.try_normalize(0.0).unwrap_or_else(|| SVector::<f64, D>::repeat(1.0).normalize())
 }
 
 #[cfg(test)]

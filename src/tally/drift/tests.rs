@@ -70,6 +70,64 @@ fn views_that_part_are_told_once_with_their_distance() {
 }
 
 #[test]
+fn a_run_too_short_for_scatter_is_judged_at_its_end() {
+    let at_end = |frames: u64, mean: f64| {
+        let (mut drift, raised) = alarms(frames, |estimate, noise| set(estimate, mean, noise));
+        assert!(raised.is_empty() && drift.views_limit_px().is_none());
+        drift.end();
+        drift
+    };
+    for frames in [1, 9, 10, 25, 59] {
+        let drift = at_end(frames, 0.05);
+        assert_eq!(drift.alarms(), []);
+        let limit_px = drift.views_limit_px().unwrap();
+        assert!((0.3..2.0).contains(&limit_px), "{limit_px}");
+        let drift = at_end(frames, 1.5);
+        let [DriftAlarm { seq, what: Drifted::Views { size_px, sd_px, .. }, .. }] = drift.alarms()[..] else {
+            panic!()
+        };
+        assert!(seq == frames - 1 && (size_px - 3.0).abs() < 0.5 && sd_px < 0.3, "{frames}: {size_px} {sd_px}");
+    }
+    // A single wild frame in 59 is none.
+    let (mut drift, _) =
+        alarms(59, |estimate, noise| set(estimate, if estimate.seq == 30 { 12.0 } else { 0.0 }, noise));
+    drift.end();
+    assert_eq!(drift.alarms(), []);
+    // Rays that do not meet.
+    let (mut drift, _) = alarms(5, |estimate, _| {
+        estimate.markers.iter_mut().for_each(|m| m.position = Err(Miss::RaysDiverge { distance_m: 7e-3 }));
+    });
+    drift.end();
+    assert!(matches!(drift.alarms(), [DriftAlarm { what: Drifted::Apart, .. }]), "{:?}", drift.alarms());
+    // Nothing is judged where nothing was seen, nor twice.
+    let mut drift = Drift::new(&fixture::rig());
+    drift.end();
+    assert!(drift.alarms().is_empty() && drift.views_limit_px().is_none());
+    let (mut drift, raised) = alarms(300, |estimate, noise| set(estimate, 1.5, noise));
+    drift.end();
+    assert_eq!((raised.len(), drift.alarms().len()), (1, 1));
+}
+
+#[test]
+fn a_base_band_elsewhere_is_told_after_a_few_frames() {
+    for frames in [1, 12, 59] {
+        for (away_m, told) in [(0.1e-3, false), (2e-3, true)] {
+            let (mut drift, raised) = alarms(frames, |estimate, noise| {
+                set(estimate, 0.0, noise);
+                estimate.markers[0].position.as_mut().unwrap().point.x += away_m;
+            });
+            assert!(raised.is_empty());
+            drift.end();
+            let found = drift.alarms().iter().map(|a| (matches!(a.what, Drifted::Base { .. }), a.size_m));
+            let found: Vec<_> = found.collect();
+            assert_eq!(found.len(), usize::from(told), "{frames} {found:?}");
+            assert!(found.iter().all(|(base, size_m)| *base && (size_m - 2e-3).abs() < 1e-4), "{found:?}");
+            assert!(drift.base_limit_m().is_some_and(|limit_m| limit_m < 1e-3));
+        }
+    }
+}
+
+#[test]
 fn an_alarm_lasts_while_nothing_tells_that_it_is_over() {
     let (drift, raised) = alarms(900, |estimate, noise| {
         set(estimate, 0.4, noise);

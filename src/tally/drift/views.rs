@@ -14,9 +14,8 @@
 use crate::estimate::{Estimate, Miss};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
-use crate::tally::drift::{ALARM_RELEASE, BLOCKS, Drifted, Finding, Window, mean};
-use nalgebra::{Matrix2, Point3, Vector2};
-use std::collections::VecDeque;
+use crate::tally::drift::{ALARM_RELEASE, BLOCKS, Drifted, Finding, Sum, Window, mean, mean_of_few};
+use nalgebra::{Point3, Vector2};
 
 /// A mean is significant beyond this many standard deviations.
 const SIGNIFICANT_SD: f64 = 6.0;
@@ -39,8 +38,8 @@ struct Block {
     /// distances.
     apart: u32,
     apart_sum_m: f64,
-    /// For each view Σ C⁻¹ and Σ C⁻¹ r.
-    sums: Vec<(Matrix2<f64>, Vector2<f64>)>,
+    /// The residuals in each view, pixels.
+    residuals: Vec<Sum<2>>,
 }
 
 impl Views {
@@ -56,14 +55,24 @@ impl Views {
 
     /// Ends a block; returns the finding of the last ones.
     pub(crate) fn found(&mut self) -> Option<Finding> {
-        let blocks = self.window.close();
-        if let Some(size_m) = apart_m(blocks) {
-            return Some(Finding { what: Drifted::Apart, size_m, raises: true, ends: false });
-        }
+        self.window.close();
+        let blocks = &self.window.blocks;
+        let enough = blocks.len() >= BLOCKS.1;
+        let apart = enough.then(|| apart(blocks.iter())).flatten();
+        apart.or_else(|| self.disagreement(|view| mean(blocks_of(blocks.iter(), view))))
+    }
+
+    /// The finding of a run that had too few frames for [`Self::found`].
+    pub(crate) fn found_at_end(&self) -> Option<Finding> {
+        let blocks = self.window.all();
+        apart(blocks.clone()).or_else(|| self.disagreement(|view| mean_of_few(blocks_of(blocks.clone(), view))))
+    }
+
+    /// By how much views disagree, from each one's mean residual and its standard deviation.
+    fn disagreement(&self, mean: impl Fn(usize) -> Option<(Vector2<f64>, f64)>) -> Option<Finding> {
         let mut means: Vec<(usize, f64, f64)> = (0..self.optics.len())
             .filter_map(|view| {
-                let means: Vec<Vector2<f64>> = blocks.iter().filter_map(|block| block.mean(view)).collect();
-                let (mean, sd) = mean(&means)?;
+                let (mean, sd) = mean(view)?;
                 Some((view, mean.norm(), sd))
             })
             .collect();
@@ -74,28 +83,37 @@ impl Views {
         let seen = self.optics.get(view)?.project_with_jacobian(&self.place?).ok()?;
         let px_per_m = seen.d_pixel.norm() / std::f64::consts::SQRT_2;
         let (size_px, sd_px) = (first + second, first_sd + second_sd);
+        let limit_px = MIN_PX.max(SIGNIFICANT_SD * sd_px);
         Some(Finding {
             what: Drifted::Views { view, size_px, sd_px },
             size_m: size_px / px_per_m,
-            raises: size_px > SIGNIFICANT_SD * sd_px && size_px > MIN_PX,
+            raises: size_px > limit_px,
             ends: size_px <= ALARM_RELEASE * MIN_PX,
+            limit: Some(limit_px),
         })
     }
 }
 
-/// Mean distance between rays, metres, when they do not meet in most of the frames.
-fn apart_m(blocks: &VecDeque<Block>) -> Option<f64> {
-    let frames: u32 = blocks.iter().map(|block| block.frames).sum();
-    let apart: u32 = blocks.iter().map(|block| block.apart).sum();
-    let most = blocks.len() >= BLOCKS.1 && 2 * apart > frames;
-    let sum_m: f64 = blocks.iter().map(|block| block.apart_sum_m).sum();
-    most.then(|| sum_m / f64::from(apart))
+fn blocks_of<'a>(
+    blocks: impl Iterator<Item = &'a Block> + Clone,
+    view: usize,
+) -> impl Iterator<Item = &'a Sum<2>> + Clone {
+    blocks.filter_map(move |block| block.residuals.get(view))
+}
+
+/// That rays do not meet in most of the frames, with their mean distance.
+fn apart<'a>(blocks: impl Iterator<Item = &'a Block> + Clone) -> Option<Finding> {
+    let frames: u32 = blocks.clone().map(|block| block.frames).sum();
+    let apart: u32 = blocks.clone().map(|block| block.apart).sum();
+    let sum_m: f64 = blocks.map(|block| block.apart_sum_m).sum();
+    let size_m = sum_m / f64::from(apart);
+    (2 * apart > frames).then_some(Finding { what: Drifted::Apart, size_m, raises: true, ends: false, limit: None })
 }
 
 impl Block {
     fn add(&mut self, estimate: &Estimate, views: usize) {
         self.frames += 1;
-        self.sums.resize(views, Default::default());
+        self.residuals.resize(views, Sum::default());
         let missed_m = |miss: &Miss| match miss {
             Miss::RaysDiverge { distance_m } => Some(*distance_m),
             _ => None,
@@ -106,21 +124,10 @@ impl Block {
             self.apart += 1;
             self.apart_sum_m += sum_m / count as f64;
         }
-        for marker in estimate.markers.iter().filter(|marker| marker.position.is_ok()) {
-            for (sum, band) in self.sums.iter_mut().zip(&marker.views) {
-                let Ok(band) = band else { continue };
-                let Some(weight) = band.covariance_px2.try_inverse() else { continue };
-                let pull = weight * band.residual_px;
-                if weight.iter().chain(&pull).all(|v| v.is_finite()) {
-                    sum.0 += weight;
-                    sum.1 += pull;
-                }
-            }
+        for (view, sum) in self.residuals.iter_mut().enumerate() {
+            let located = estimate.markers.iter().filter(|marker| marker.position.is_ok());
+            let bands = located.filter_map(|marker| marker.views.get(view)?.as_ref().ok());
+            sum.add(bands.map(|band| (band.residual_px, band.covariance_px2)));
         }
-    }
-
-    fn mean(&self, view: usize) -> Option<Vector2<f64>> {
-        let (weight, pull) = self.sums.get(view)?;
-        Some(weight.try_inverse()? * pull)
     }
 }
