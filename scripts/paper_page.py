@@ -88,9 +88,11 @@ def space(points, name, colour, mode="markers", size=2):
     return {**own, "marker": {"color": colour, "size": size}, "line": {"color": colour, "width": 4}}
 
 
-def cube(titles):
+def cube(titles, away):
+    """Axes of equal scale, seen from `away` times the usual distance."""
     titled = {f"{name}axis": axis(title) for name, title in zip("xyz", titles)}
-    return {"scene": {**titled, "aspectmode": "data", "camera": {"up": {"x": 0, "y": 0, "z": -1}}}}
+    eye = {name: 1.25 * away for name in "xyz"}
+    return {"scene": {**titled, "aspectmode": "data", "camera": {"up": {"x": 0, "y": 0, "z": -1}, "eye": eye}}}
 
 
 def marker(path, name):
@@ -153,7 +155,7 @@ def figure_9(out):
     run, desired = out / "circle_100ms.csv", marker_of_path(out / "circle" / "desired.csv")
     traces = [space(marker(run, name), name, colour) for name, colour in BANDS.items()]
     traces.append(space(desired, "desired", PAPER, "lines"))
-    axes = cube(("x (mm)", "y (mm)", "z (mm)"))
+    titles = ("x (mm)", "y (mm)", "z (mm)")
     points = points_of(out, "circle", 100)
     aligned = [space([points[f"aligned_{a}_mm"] for a in "xyz"], "tip, aligned", BANDS["tip"])]
     aligned.append(space([points[f"desired_{a}_mm"] for a in "xyz"], "desired", PAPER, "markers", 3))
@@ -162,7 +164,7 @@ def figure_9(out):
         "rigid alignment (9b). In the paper the tip's circle lies some millimetres beside the desired one before the alignment, "
         "because its model and its catheter differ; here the currents come from the model that also moves, so it lies on it."
     )
-    return words(text) + figure("figure-9a", traces, 520, **axes) + figure("figure-9b", aligned, 420, **axes)
+    return words(text) + figure("figure-9a", traces, 620, **cube(titles, 2.2)) + figure("figure-9b", aligned, 420, **cube(titles, 1.2))
 
 
 def marker_of_path(path):

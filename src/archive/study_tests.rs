@@ -194,7 +194,10 @@ fn copies_other_builds_and_tables_elsewhere_are_told() {
     let copy = RunSummary { name: "b".to_owned(), ..first.clone() };
     save(archive.path(), &copy, &track("tip"));
     let said = find().cautions();
-    assert!(matches!(&said[..], [one] if one.contains("1 run of the same recording, rig and options")), "{said:?}");
+    assert!(
+        matches!(&said[..], [one] if one.contains("1 run of the same recording (or live), rig and options")),
+        "{said:?}"
+    );
     let mut other = RunSummary { name: "b".to_owned(), version: "0.0.1".to_owned(), ..first };
     other.sha256.recording = Some("s".to_owned());
     other.files.retain(|file| file.name != "track.csv");
@@ -205,4 +208,40 @@ fn copies_other_builds_and_tables_elsewhere_are_told() {
             && tables.contains("the table of 1 run was written elsewhere")),
         "{said:?}"
     );
+}
+
+#[test]
+fn copies_of_live_runs_are_known_by_their_tables() {
+    let archive = tempfile::tempdir().unwrap();
+    let said = |second: &str| {
+        for (name, table) in [("a", track("tip")), ("b", second.to_owned())] {
+            let mut run = summary(name, "tip", "base");
+            run.sha256.recording = None;
+            let (bytes, sha256) = (table.len() as u64, Some(hash::of_bytes(table.as_bytes())));
+            run.files = vec![FileRecord { name: TABLE_FILE.to_owned(), bytes, sha256 }];
+            save(archive.path(), &run, &table);
+        }
+        Study::find(&[archive.path().to_owned()]).unwrap().cautions()
+    };
+    assert_eq!(said(&track("tip").replace("1.5", "1.6")), Vec::<String>::new());
+    let said = said(&track("tip"));
+    assert!(matches!(&said[..], [one] if one.contains("1 run of the same recording (or live)")), "{said:?}");
+}
+
+#[test]
+fn a_column_of_the_manifest_never_takes_the_name_of_another() {
+    let archive = tempfile::tempdir().unwrap();
+    let mut run = summary("run", "tip", "base");
+    let given = [("run", "mine"), ("manifest_run", "other"), ("gain", "3")];
+    run.manifest = given.map(|(name, cell)| (name.to_owned(), cell.to_owned())).into();
+    save(archive.path(), &run, &track("tip"));
+    let path = archive.path().join("runs.parquet");
+    Study::find(&[archive.path().to_owned()]).unwrap().write_runs(&path).unwrap();
+    let reader = SerializedFileReader::new(fs::File::open(path).unwrap()).unwrap();
+    let row = reader.into_iter().next().unwrap().unwrap();
+    let cells: std::collections::BTreeMap<_, _> =
+        row.get_column_iter().map(|(n, c)| (n.clone(), c.to_string())).collect();
+    assert_eq!(cells.len(), row.len());
+    let cell = |name: &str| cells[name].trim_matches('"').to_owned();
+    assert_eq!(["run", "manifest_manifest_run", "manifest_run", "gain"].map(cell), ["run", "mine", "other", "3"]);
 }

@@ -50,7 +50,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         tracing::warn!("{}: lies too deep and is not searched: name it, or a folder nearer to it", folder.display());
     });
     study.vetoes.iter().for_each(|said| tracing::warn!("{said}"));
-    study.left_out.iter().for_each(|error| tracing::warn!("{error}; the run is left out"));
+    study.left_out.iter().for_each(|error| tracing::warn!("{error}; it is left out"));
     if study.runs.is_empty() {
         return Err(Failure::usage(format!("{}: no run can be read: nothing is written", folders())));
     }

@@ -50,6 +50,7 @@ pub(super) fn end_at_once() -> Result<(), Failure> {
         let _whole = wait();
         // Without stderr nothing can be printed; the run ends anyway.
         let _ = writeln!(super::progress::stderr(), "interrupted");
+        super::outcome::interrupted();
         c::_exit(130);
     })
     .map_err(cannot_watch)

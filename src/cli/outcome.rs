@@ -19,12 +19,15 @@ use super::{Exit, Failure, output};
 use serde_json::{Value, json};
 use std::error::Error;
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 const SCHEMA: u32 = 1;
 
 /// Files that this process has written, for its one outcome.
 static WRITTEN: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+/// The command whose outcome is still to be printed, and its warnings.
+static RUNNING: Mutex<Option<(String, Arc<Work>)>> = Mutex::new(None);
 
 /// The option.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
@@ -105,30 +108,46 @@ pub(super) fn of(
     run: impl FnOnce(&Outcome) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     let outcome = Outcome { json: json.json, quiet, text: Mutex::default(), results: Mutex::default() };
-    let work = Work::new();
-    let ended = work.within(|| run(&outcome));
+    let work = Arc::new(Work::new());
     if outcome.json {
-        let (word, code) = match ended.as_ref().map_err(Failure::exit) {
-            Ok(()) => ("good", 0),
-            Err(Exit::Failed) => ("failed", 1),
-            Err(Exit::Usage) => ("usage", 2),
-            Err(Exit::Unusable) => ("unusable", 3),
-            Err(Exit::Interrupted) => ("interrupted", 130),
-        };
-        let whole = json!({
-            "schema": SCHEMA,
-            "command": command,
-            "outcome": word,
-            "exit_code": code,
-            "error": ended.as_ref().err().map(Failure::message),
-            "warnings": work.warned().warnings,
-            "written": std::mem::take(&mut *lock(&WRITTEN)),
-            "results": std::mem::take(&mut *lock(&outcome.results)),
-            "text": std::mem::take(&mut *lock(&outcome.text)),
-        });
-        output::print(&format!("{whole:#}\n"))?;
+        *lock(&RUNNING) = Some((command.to_owned(), Arc::clone(&work)));
     }
+    let ended = work.within(|| run(&outcome));
+    let results = std::mem::take(&mut *lock(&outcome.results));
+    let text = std::mem::take(&mut *lock(&outcome.text));
+    print_once(ended.as_ref().map(|()| ()).map_err(|failure| (failure.exit(), failure.message())), results, text)?;
     ended
+}
+
+/// The command is interrupted and ends at once: prints its outcome, if that is wanted and still to come.
+pub(super) fn interrupted() {
+    // Without stdout nothing can be printed; the command ends anyway.
+    let _ = print_once(Err((Exit::Interrupted, "interrupted".to_owned())), Value::Null, String::new());
+}
+
+/// Prints the outcome of the running command, unless that was done.
+fn print_once(ended: Result<(), (Exit, String)>, results: Value, text: String) -> Result<(), Failure> {
+    let mut running = lock(&RUNNING);
+    let Some((command, work)) = running.take() else { return Ok(()) };
+    let (word, code) = match ended.as_ref().map_err(|(exit, _)| *exit) {
+        Ok(()) => ("good", 0),
+        Err(Exit::Failed) => ("failed", 1),
+        Err(Exit::Usage) => ("usage", 2),
+        Err(Exit::Unusable) => ("unusable", 3),
+        Err(Exit::Interrupted) => ("interrupted", 130),
+    };
+    let whole = json!({
+        "schema": SCHEMA,
+        "command": command,
+        "outcome": word,
+        "exit_code": code,
+        "error": ended.err().map(|(_, message)| message),
+        "warnings": work.warned().warnings,
+        "written": std::mem::take(&mut *lock(&WRITTEN)),
+        "results": results,
+        "text": text,
+    });
+    output::print(&format!("{whole:#}\n"))
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -162,9 +162,10 @@ impl PictureVideo {
     }
 }
 
-/// Whether a video of such pictures shows what can be measured: it would not say that one is damaged, or interlaced.
+/// Whether a video of such pictures shows what can be measured: it would not say that one is damaged or interlaced, or
+/// which parts of it were never recorded.
 pub(crate) fn can_hold(picture: &Picture) -> bool {
-    !picture.is_damaged() && !picture.is_interlaced()
+    !picture.is_damaged() && !picture.is_interlaced() && picture.is_whole()
 }
 
 impl Sink for PictureVideo {
@@ -173,7 +174,8 @@ impl Sink for PictureVideo {
         if !can_hold(picture) {
             if !self.warned {
                 tracing::warn!(
-                    "{}: damaged and interlaced pictures are left out, as the video cannot say what they are",
+                    "{}: damaged and interlaced pictures, and those of which a log has only parts, are left out, as the \
+                     video cannot say what they are",
                     self.path.display()
                 );
                 self.warned = true;

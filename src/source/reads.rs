@@ -58,6 +58,13 @@ impl Picture {
         self.reads.damaged
     }
 
+    /// Whether all of it was recorded.
+    pub(crate) fn is_whole(&self) -> bool {
+        let [width, height] = self.size_px();
+        let all = Window { x0: 0, y0: 0, x1: width, y1: height };
+        self.reads.there.as_ref().is_none_or(|there| all.without(there).is_empty())
+    }
+
     /// The parts that were recorded; `None` for all of it.
     pub fn recorded(&self) -> Option<&[Window]> {
         self.reads.there.as_deref()

@@ -72,7 +72,8 @@ impl Server {
         let url = format!("http://{host}/#{}", guard.key());
         let shared = Shared { desk: Arc::new(desk), guard };
         let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_io()
+            // Time too: after the limit of open files is reached, accepting waits for a moment.
+            .enable_all()
             .max_blocking_threads(MAX_CONCURRENT_REQUESTS)
             .thread_name("studio work")
             .build()?;

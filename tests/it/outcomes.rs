@@ -96,3 +96,22 @@ fn an_identified_model_and_a_validation_are_in_the_outcome() {
     let (output, outcome) = run(folder.path(), &validate.replace("TREE/tests/data/validate/5ms.csv", "empty.csv"));
     check(&output, &outcome, "validate", 2, "usage");
 }
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_command_has_an_outcome() {
+    let folder = tempfile::tempdir().unwrap();
+    let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_dynamics");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    command.current_dir(folder.path()).arg("identify").arg(sample.join("training.csv"));
+    command.arg("--currents").arg(sample.join("training_currents.csv")).arg("--plant").arg(sample.join("plant.toml"));
+    command.args(["--bootstrap", "10000000", "-o", "dynamics", "--json"]).stdout(std::process::Stdio::piped());
+    let child = command.spawn().unwrap();
+    // It watches for signals from its first moments on, and takes hours.
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    assert!(crate::support::command::signal(&child, "INT"));
+    let output = child.wait_with_output().unwrap();
+    let outcome = serde_json::from_slice(&output.stdout).unwrap();
+    check(&output, &outcome, "identify", 130, "interrupted");
+    assert!(!folder.path().join("dynamics/model.json").exists());
+}

@@ -281,6 +281,9 @@ fn the_command_tracks_a_log_again_with_the_rig_that_is_in_it() {
         assert!((first - again).abs() < 0.05, "{first}° and {again}°");
     }
 
+    // A video would be black beside the parts.
+    let printed = ended_with(&command(&["out/log.mcap", "-o", "video", "--record", "ffv1"]), 2);
+    assert!(printed.contains("parts of its pictures") && !place.path("video").exists(), "{printed}");
     let printed = ended_with(&command(&["out/log.mcap", "-o", "whole", "--full-frame"]), 2);
     assert!(printed.contains("--full-frame"), "{printed}");
     let printed = ended_with(&command(&["again/log.mcap"]), 2);

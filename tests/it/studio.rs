@@ -48,6 +48,19 @@ fn form(recording: &str, frame: usize) -> Value {
     })
 }
 
+#[cfg(unix)]
+#[test]
+fn more_connections_than_files_may_be_open_are_survived() {
+    let folder = bench();
+    let mut command = Command::new("sh");
+    command.args(["-c", "ulimit -n 48; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_catoptra")]);
+    let studio = Studio::start_by(command, folder.path(), &["rest.mkv", "--rig", "bare.toml"]);
+    let many: Vec<_> = (0..80).map(|_| std::net::TcpStream::connect(("127.0.0.1", studio.port)).unwrap()).collect();
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    drop(many);
+    assert_eq!(studio.get("/").status, 200);
+}
+
 #[test]
 fn hostile_requests_are_refused_and_the_page_is_served_on() {
     let folder = bench();

@@ -36,7 +36,11 @@ impl Answer {
 impl Studio {
     /// `catoptra studio` in a folder.
     pub(crate) fn start(folder: &Path, args: &[&str]) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+        Self::start_by(Command::new(env!("CARGO_BIN_EXE_catoptra")), folder, args)
+    }
+
+    /// The same, where `command` is what runs it.
+    pub(crate) fn start_by(mut command: Command, folder: &Path, args: &[&str]) -> Self {
         command.current_dir(folder).arg("studio").args(args).arg("--no-open").stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let mut out = BufReader::new(child.stdout.take().unwrap());

@@ -2,6 +2,7 @@
 
 use super::{FRAME, Run, Study};
 use crate::plural::plural;
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 impl Study {
@@ -43,15 +44,17 @@ impl Study {
         let mut copies = Vec::new();
         for run in self.with_tables() {
             let hashes = &run.summary.sha256;
-            let Some(recording) = &hashes.recording else { continue };
-            match seen.get(&(recording, &hashes.rig, &hashes.options)) {
-                Some(other) => copies.push((other.folder.display(), run.folder.display())),
-                None => _ = seen.insert((recording, &hashes.rig, &hashes.options), run),
+            // A live run has no recording: what it measured is its own.
+            let table = || run.table()?.sha256.as_ref();
+            let Some(measured) = hashes.recording.as_ref().or_else(table) else { continue };
+            match seen.entry((measured, &hashes.rig, &hashes.options)) {
+                Entry::Occupied(other) => copies.push((other.get().folder.display(), run.folder.display())),
+                Entry::Vacant(new) => _ = new.insert(run),
             }
         }
         let (one, other) = copies.first()?;
         let count = plural(copies.len(), "run");
-        let words = "of the same recording, rig and options as another, and their frames count twice";
+        let words = "of the same recording (or live), rig and options as another, and their frames count twice";
         Some(format!("{count} {words}: {one} and {other}, for example"))
     }
 

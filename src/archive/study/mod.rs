@@ -81,7 +81,7 @@ impl Study {
     /// not copied completely, must not pass for a shorter run.
     ///
     /// # Errors
-    /// [`StudyError::Io`] when a folder cannot be read.
+    /// [`StudyError::Io`] when one of the folders cannot be read; those below it are left out.
     pub(crate) fn find(folders: &[PathBuf]) -> Result<Self, StudyError> {
         let mut study = Self::default();
         let (mut known, mut searched) = (BTreeSet::new(), BTreeMap::new());
@@ -149,7 +149,13 @@ impl Study {
                 known.insert(whole);
             }
         }
-        below(folder).map_err(io)?.iter().try_for_each(|folder| self.look(folder, depth + 1, known, searched))
+        for folder in below(folder).map_err(io)? {
+            // Only that folder is left out, with what is in it.
+            if let Err(error) = self.look(&folder, depth + 1, known, searched) {
+                self.left_out.push(error.into());
+            }
+        }
+        Ok(())
     }
 
     /// Columns of the manifests, of all runs together.
@@ -159,15 +165,22 @@ impl Study {
 
     /// The manifests' columns, renamed where they collide with columns of `ours`.
     fn manifest_cells(&self, ours: &[(String, Cells)], rows: &[(&Run, usize)]) -> Vec<(String, Cells)> {
-        let taken = |name: &str| ours.iter().any(|(other, _)| other == name);
+        let manifest = self.manifest_columns();
+        let is_ours = |name: &str| ours.iter().any(|(other, _)| other == name);
         let cells = |name: &str| {
             let of = |(run, times): &(&Run, usize)| {
                 std::iter::repeat_n(run.summary.manifest.get(name).cloned(), *times).collect::<Vec<_>>()
             };
             Cells::Text(rows.iter().flat_map(of).collect())
         };
-        let named = |name: &str| if taken(name) { format!("manifest_{name}") } else { name.to_owned() };
-        self.manifest_columns().into_iter().map(|name| (named(name), cells(name))).collect()
+        let named = |name: &str| {
+            let mut new = name.to_owned();
+            while is_ours(&new) || (new != name && manifest.contains(new.as_str())) {
+                new = format!("manifest_{new}");
+            }
+            new
+        };
+        manifest.iter().copied().map(|name| (named(name), cells(name))).collect()
     }
 
     /// Writes the table of all runs, one row each.

@@ -140,6 +140,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     }
     let rig = rig;
     fitting::check_spot(args.tick_led, (&args.rig, &rig))?;
+    args.record.map_or(Ok(()), |record| record.check(args.source.as_ref()))?;
     let tracker = Tracker::new(&rig, TrackOptions { tick_led: args.tick_led, ..TrackOptions::default() })
         .map_err(|e| Failure::usage(format!("{}: {e}", args.rig.display())))?;
     print_warnings(&args.rig, &rig)?;

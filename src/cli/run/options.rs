@@ -1,6 +1,9 @@
 //! Options shared by offline and live tracking.
 
+use crate::cli::Failure;
+use crate::log::is_log;
 use crate::sink::{OutputFrame, PictureCodec, Profile};
+use std::path::Path;
 
 /// The frame of reference of table and report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -79,6 +82,19 @@ impl Record {
     /// The one with this word.
     pub(in crate::cli) fn of_word(word: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|record| record.word() == word)
+    }
+
+    /// Checks that `source` has what is to be recorded.
+    ///
+    /// # Errors
+    /// When whole pictures are wanted of a log, which has parts of them.
+    pub(in crate::cli) fn check(self, source: &Path) -> Result<(), Failure> {
+        if self.codec().is_some() && is_log(source) {
+            let text = "holds parts of its pictures, and a video of them would be black elsewhere: --record windows \
+                        keeps the parts";
+            return Err(Failure::usage(format!("{}: {text}", source.display())));
+        }
+        Ok(())
     }
 
     /// Codec of whole pictures, if they are recorded.

@@ -88,6 +88,7 @@ impl Request<'_> {
             let text = "holds parts of its pictures: they cannot be searched whole, leave out --full-frame";
             return Err(Failure::usage(format!("{}: {text}", self.source.display())));
         }
+        self.options.record.map_or(Ok(()), |record| record.check(self.source))?;
         let LoadedRig { file, rig, .. } = self.rig;
         let (full_frame, tick_led) = (self.options.full_frame, self.options.tick_led);
         fitting::check_spot(tick_led, (file, rig))?;
