@@ -115,7 +115,7 @@ pub(super) fn of(
     let ended = work.within(|| run(&outcome));
     let results = std::mem::take(&mut *lock(&outcome.results));
     let text = std::mem::take(&mut *lock(&outcome.text));
-    print_once(ended.as_ref().map(|()| ()).map_err(|failure| (failure.exit(), failure.message())), results, text)?;
+    print_once(ended.as_ref().map_err(|failure| (failure.exit(), failure.message())).copied(), results, text)?;
     ended
 }
 

@@ -41,14 +41,17 @@ pub(crate) fn columns_and(
     Ok((three([a?, b?, c?])?, sheet.all_of(more)?.map(three).transpose()?))
 }
 
-/// Seconds in the unit that the name of a column ends in, as `t_ms`, `time [us]` or `stamp_ns`; of others 1.
+/// Seconds in the unit that the name of a column ends in, as `t_ms`, `TIME (msec)`, `time [us]` or `stamp_ns`; of others
+/// 1.
 pub(crate) fn unit_s(name: &str) -> f64 {
-    let name = name.trim_end_matches([']', ')', ' ']);
-    let last = name.rsplit(['_', ' ', '[', '(', '/']).next().filter(|word| word.len() < name.len());
+    let name = name.trim_end_matches([']', ')', ' ']).to_lowercase();
+    let last = name.rsplit(['_', ' ', '[', '(', '/', '.']).next().filter(|word| word.len() < name.len());
     match last {
-        Some("ms") => 1e-3,
-        Some("us" | "µs" | "μs") => 1e-6,
-        Some("ns") => 1e-9,
+        Some("ms" | "msec" | "msecs" | "millis" | "milliseconds") => 1e-3,
+        Some("us" | "µs" | "μs" | "usec" | "usecs" | "micros" | "microseconds") => 1e-6,
+        Some("ns" | "nsec" | "nsecs" | "nanos" | "nanoseconds") => 1e-9,
+        Some("min" | "mins" | "minutes") => 60.0,
+        Some("days") => 86400.0,
         _ => 1.0,
     }
 }
@@ -71,7 +74,14 @@ mod tests {
 
     #[test]
     fn the_unit_of_a_time_is_in_its_name() {
-        for (name, unit) in [("t_ms", 1e-3), ("time [us]", 1e-6), ("stamp_ns", 1e-9), ("Time (ms)", 1e-3)] {
+        for (name, unit) in [
+            ("t_ms", 1e-3),
+            ("time [us]", 1e-6),
+            ("stamp_ns", 1e-9),
+            ("Time (ms)", 1e-3),
+            ("TIME_MSEC", 1e-3),
+            ("t.min", 60.0),
+        ] {
             assert_eq!(unit_s(name).to_bits(), f64::to_bits(unit), "{name}");
         }
         for name in ["t", "time", "t_s", "ms", "items", "columns", "2"] {

@@ -1,4 +1,5 @@
-//! The motion that several periods have in common, and how each of them differs from it in time and place.
+//! The motion that several periods have in common: how each of them differs from it in time and place, and where the
+//! points lie that are missing.
 //!
 //! In: the points of each period, and where in it they are; some may be missing. Out: the lag and the offset of each
 //! period, from a mean that is the same for all.
@@ -8,13 +9,16 @@
 //! points are missing it is that of other periods, with their lags, and it has the noise of the period that is compared
 //! with it, which draws lags towards 0.
 
-use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
+use nalgebra::{DMatrix, DVector, Matrix4, Point3, Vector3, Vector4};
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 /// Most harmonics of the common motion; a path of few points has fewer.
 const HARMONICS: usize = 50;
 /// Points per harmonic, of all periods together, at least.
 const POINTS: usize = 8;
+/// A path has the harmonics with this part of the power of its largest.
+const LEAST_POWER: f64 = 1e-4;
 /// Rounds in turns.
 const ROUNDS: usize = 8;
 
@@ -43,9 +47,52 @@ impl Shifted {
 /// Improves lags and offsets of periods of `length` commands.
 pub(super) fn align(periods: &mut [Shifted], length: usize) {
     for _ in 0..ROUNDS {
-        let Some(motion) = Motion::through(periods, length) else { return };
+        let points: usize = periods.iter().map(|period| period.points.len()).sum();
+        let harmonics = (length / 4).min(points / POINTS).clamp(1, HARMONICS);
+        let Some(motion) = Motion::through(periods, length, harmonics) else { return };
         periods.iter_mut().for_each(|period| motion.shift(period));
     }
+}
+
+/// The points of whole periods of a path, those that are missing by a Fourier series through the others, with the path's
+/// own harmonics: without them the size of a motion, and its lag, would be those of the part of it that was seen. `None`
+/// where a hole that all periods have is too wide for that.
+pub(super) fn filled(path: &[Point3<f64>], observed: &[Option<Point3<f64>>]) -> Option<Vec<Point3<f64>>> {
+    let length = path.len();
+    let known = observed.iter().enumerate().filter_map(|(k, point)| Some((k, (*point)?)));
+    if observed.iter().all(Option::is_some) {
+        return Some(known.map(|(_, point)| point).collect());
+    }
+    let harmonics = harmonics(path);
+    if 2 * harmonics * widest_hole(length, known.clone().map(|(k, _)| k % length).collect()) > length {
+        return None;
+    }
+    let points = known.map(|(k, point)| (k as f64, point.coords)).collect();
+    let all = Shifted { number: 0, points, lag: 0.0, offset_m: Vector3::zeros() };
+    let motion = Motion::through(&[all], length, harmonics)?;
+    let place = |k: usize| Point3::from(motion.at(k as f64 * motion.per_point).0);
+    Some(observed.iter().enumerate().map(|(k, point)| point.unwrap_or_else(|| place(k))).collect())
+}
+
+/// The highest harmonic that a path has.
+fn harmonics(path: &[Point3<f64>]) -> usize {
+    let per_point = TAU / path.len() as f64;
+    let power = |harmonic: usize| {
+        let sum = |wave: fn(f64) -> f64| {
+            let angle = |k: usize| (harmonic * k) as f64 * per_point;
+            path.iter().enumerate().map(|(k, point)| point.coords * wave(angle(k))).sum::<Vector3<f64>>()
+        };
+        sum(f64::cos).norm_squared() + sum(f64::sin).norm_squared()
+    };
+    let powers: Vec<f64> = (1..=HARMONICS.min(path.len() / 2)).map(power).collect();
+    let most = powers.iter().copied().fold(0.0, f64::max);
+    powers.iter().rposition(|power| *power >= LEAST_POWER * most).map_or(1, |at| at + 1)
+}
+
+/// Most commands one after another, the last before the first, of which none is among the `known`.
+fn widest_hole(length: usize, known: BTreeSet<usize>) -> usize {
+    let next = known.iter().skip(1).copied().chain(known.first().map(|first| first + length));
+    known.iter().zip(next).map(|(one, next)| next - one - 1).max().unwrap_or(length)
 }
 
 /// A Fourier series over a period.
@@ -57,9 +104,8 @@ struct Motion {
 
 impl Motion {
     /// `None` where the points do not determine it.
-    fn through(periods: &[Shifted], length: usize) -> Option<Self> {
-        let points: usize = periods.iter().map(|period| period.points.len()).sum();
-        let terms = 1 + 2 * (length / 4).min(points / POINTS).clamp(1, HARMONICS);
+    fn through(periods: &[Shifted], length: usize, harmonics: usize) -> Option<Self> {
+        let terms = 1 + 2 * harmonics;
         let per_point = TAU / length as f64;
         let (mut normal, mut right) = (DMatrix::zeros(terms, terms), DMatrix::zeros(terms, 3));
         for Shifted { points, lag, offset_m, .. } in periods {
@@ -118,6 +164,26 @@ fn waves(terms: usize, angle: f64) -> DVector<f64> {
 mod tests {
     use super::*;
     use crate::testing::random::Random;
+
+    #[test]
+    fn missing_points_are_where_the_motion_leads_and_wide_holes_stay_open() {
+        let length = 200;
+        let eight = |k: usize| {
+            let t = TAU * (k as f64 - 9.0) / length as f64;
+            Point3::new(9.0 * t.sin(), 4.0 * (2.0 * t).sin(), 1.0)
+        };
+        let path: Vec<Point3<f64>> = (0..length).map(|k| eight(k + 9)).collect();
+        let seen = |is_seen: &dyn Fn(usize) -> bool| -> Vec<Option<Point3<f64>>> {
+            (0..3 * length).map(|k| is_seen(k).then(|| eight(k))).collect()
+        };
+        let near = |found: Vec<Point3<f64>>| found.iter().enumerate().all(|(k, p)| (p - eight(k)).norm() < 1e-6);
+        assert!(near(filled(&path, &seen(&|_| true)).unwrap()));
+        assert!(near(filled(&path, &seen(&|k| k % 7 != 3)).unwrap()));
+        assert!(near(filled(&path, &seen(&|k| k % length >= 40)).unwrap()));
+        assert!(near(filled(&path, &seen(&|k| k > length)).unwrap()));
+        assert_eq!(filled(&path, &seen(&|k| k % length >= 60)), None);
+        assert_eq!(filled(&path, &seen(&|_| false)), None);
+    }
 
     /// Four periods of 200 points with other lags and middles; a fifth of the points is missing.
     #[test]

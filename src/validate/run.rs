@@ -5,6 +5,7 @@ use super::circle::Circle;
 use super::error::ValidateError;
 use super::lag::{Lag, lag};
 use super::lone::lone;
+use super::mean_motion::filled;
 use super::options::Options;
 use super::path::DesiredPath;
 use super::pauses::{Mean, Sample};
@@ -28,7 +29,7 @@ const OTHER_UNIT: f64 = 20.0;
 /// More commands than this fraction without a point are noted.
 const MANY_LEFT_OUT: f64 = 0.25;
 /// Points that lie further than this fraction of the radius from their circle (RMS) are noted.
-const FAR_FROM_CIRCLE: f64 = 0.1;
+const FAR_FROM_CIRCLE: f64 = 0.05;
 /// Frames per period below which amplitudes suffer.
 const FEW_FRAMES: f64 = 8.0;
 
@@ -215,8 +216,14 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         .circle
         .and(plane)
         .and_then(|plane| Circle::through(&points.iter().map(|point| plane.flat(point)).collect::<Vec<_>>()));
-    let magnitude = magnitude(path, &points, &wanted, circle.as_ref());
-    let lag = if start_from == StartFrom::Search { None } else { lag_of(path, &steps, counted) };
+    let observed_points: Vec<Option<Point3<f64>>> = steps.iter().map(|step| step.observed).collect();
+    let whole = filled(&path.points, &observed_points);
+    notes.extend(whole.is_none().then(|| lacking(path, &observed_points)));
+    let all_wanted: Vec<Point3<f64>> = steps.iter().map(|step| step.desired).collect();
+    let (whole_points, their_wanted) =
+        whole.as_ref().map_or((&points, &wanted), |whole_points| (whole_points, &all_wanted));
+    let magnitude = magnitude(path, (whole_points, their_wanted), circle.as_ref());
+    let lag = if start_from == StartFrom::Search { None } else { lag_of(path, &steps, whole.as_deref(), counted) };
     let phase_deg = lag.map(|lag| -360.0 * lag.points / path.points.len() as f64);
 
     // 5. basis of the numbers
@@ -239,7 +246,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
     let vetoed = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.status == VETOED);
     let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= window.at_ns(skipped)).count();
-    let sd = response_sd(path, &steps, (sd_m, seen), magnitude.as_ref());
+    let sd = whole.as_ref().and(response_sd(path, &steps, (sd_m, seen), magnitude.as_ref()));
     let too_far = |sd: f64| lone.zip(magnitude).is_some_and(|(lone, size)| lone.mean_m > sd * size.observed_m);
     let sound_sd = sd.filter(|sd| !too_far(*sd));
     notes.extend(lone.map(|lone| lone.note(sd.is_some() && sound_sd.is_none())));
@@ -260,7 +267,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         left_out,
         alignment,
         rms_unaligned_m,
-        gain: gain(&points, &wanted),
+        gain: gain(whole_points, their_wanted),
         magnitude,
         plane,
         circle,
@@ -294,9 +301,22 @@ fn pairs(path: &DesiredPath, steps: &[Step]) -> Result<Vec<Pair>, String> {
     Ok(pairs)
 }
 
-/// How much later than the path the observed points are.
-fn lag_of(path: &DesiredPath, steps: &[Step], counted: &[Option<Mean>]) -> Option<Lag> {
-    let numbered: Vec<(usize, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect();
+/// What a hole in the motion means.
+fn lacking(path: &DesiredPath, observed: &[Option<Point3<f64>>]) -> String {
+    let length = path.points.len();
+    let unseen = (0..length).filter(|k| observed.iter().skip(*k).step_by(length).all(Option::is_none)).count();
+    format!(
+        "{unseen} of the {length} commands of a period have no point in any of them: magnitude, gain and phase are those \
+         of the part that was seen, and have no σ"
+    )
+}
+
+/// How much later than the path the observed points are: all of them where missing ones are filled.
+fn lag_of(path: &DesiredPath, steps: &[Step], whole: Option<&[Point3<f64>]>, counted: &[Option<Mean>]) -> Option<Lag> {
+    let numbered: Vec<(usize, Point3<f64>)> = match whole {
+        Some(whole) => steps.iter().map(|step| step.k).zip(whole.iter().copied()).collect(),
+        None => steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect(),
+    };
     let lag = lag(&path.points, &numbered)?;
     // Frames that lie late in their pauses show what comes later than their middle.
     let later: Vec<f64> = counted.iter().flatten().map(|mean| mean.later).collect();
@@ -384,8 +404,7 @@ fn gain(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> [Option<f64>; 3] {
 
 fn magnitude(
     path: &DesiredPath,
-    observed: &[Point3<f64>],
-    desired: &[Point3<f64>],
+    (observed, desired): (&[Point3<f64>], &[Point3<f64>]),
     circle: Option<&Circle>,
 ) -> Option<Magnitude> {
     let (of, observed_m, desired_m) = match (path.circle, circle) {

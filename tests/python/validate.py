@@ -134,6 +134,16 @@ def lag_points(desired, observed, numbers):
     return lag - N if lag > N / 2 else lag
 
 
+def filled(desired, points, known):
+    """Missing points by a Fourier series through the others, with the harmonics that the path has."""
+    power = np.sum(np.abs(np.fft.rfft(desired, axis=0)[1:51]) ** 2, axis=1)
+    harmonics = 1 + int(np.flatnonzero(power >= 1e-4 * power.max())[-1])
+    angle = np.outer(np.arange(len(points)), np.arange(1, harmonics + 1)) * 2 * np.pi / N
+    waves = np.hstack([np.ones((len(points), 1)), np.cos(angle), np.sin(angle)])
+    series = waves @ np.linalg.lstsq(waves[known], points[known], rcond=None)[0]
+    return np.where(known[:, None], points, series)
+
+
 def check(folder, result):
     from scipy.spatial.transform import Rotation
 
@@ -151,18 +161,19 @@ def check(folder, result):
         close("frames missed", int(row["frames_missed"]), sum(
             1 for r in run if r["tip_status"] != "ok" and 0 <= int(r["stamp_ns"]) - START_S * 1e9 < N * PERIODS * pause_ms * 1e6), 0)
         close("unaligned", float(row["rms_unaligned_mm"]), np.sqrt(np.mean(np.sum((observed - wanted) ** 2, axis=1))), 1e-6)
+        whole, everywhere = filled(desired, points, known), np.arange(N, N * PERIODS)
         a, b = observed - observed.mean(axis=0), wanted - wanted.mean(axis=0)
         rotation, rssd = Rotation.align_vectors(b, a)
         close("aligned", float(row["rms_aligned_mm"]), rssd / np.sqrt(len(a)), 1e-6)
         close("rotation", float(row["rotation_deg"]), np.rad2deg(rotation.magnitude()), 1e-5)
         for axis, name in enumerate("xyz"):
             if row[f"gain_{name}"]:
-                close(f"gain {name}", float(row[f"gain_{name}"]), np.std(observed[:, axis]) / np.std(wanted[:, axis]), 1e-9)
+                close(f"gain {name}", float(row[f"gain_{name}"]), np.std(whole[:, axis]) / np.std(desired[everywhere % N, axis]), 1e-9)
         (radius, off_plane), (wanted_radius, _) = circle_radius(observed), circle_radius(desired)
         close("radius", float(row["observed_size_mm"]), radius, 1e-6)
         close("off the plane", float(row["plane_rms_mm"]), off_plane, 1e-6)
         close("magnitude", float(row["magnitude_db"]), 20 * np.log10(radius / wanted_radius), 1e-6)
-        lag = lag_points(desired, observed, numbers) + later[known].mean()
+        lag = lag_points(desired, whole, everywhere) + later[known].mean()
         close("lag", float(row["lag_ms"]), lag * pause_ms, 1e-6)
         close("phase", (float(row["phase_deg"]) + 360 * lag / N + 180) % 360 - 180, 0, 1e-6)
         print(f"{pause_ms:g} ms: {row['rms_aligned_mm']} mm, {row['magnitude_db']} dB, {row['phase_deg']} degrees agree")

@@ -243,7 +243,18 @@ pub fn calibrate_camera(
             done.diagnostics.extend(is_open.then_some(CameraDiagnostic::TakenForEven));
             return Ok(done);
         };
-        left_out.push((used.remove(worst).name.clone(), off));
+        let name = used.remove(worst).name.clone();
+        // What was left out because it shows the same is judged in its place.
+        let again = left_out.iter().position(|(_, why)| *why == LeftOut::Duplicate(name.clone()));
+        if let Some((other, _)) = again.map(|at| left_out.remove(at)) {
+            for (_, why) in left_out.iter_mut().filter(|(_, why)| *why == LeftOut::Duplicate(name.clone())) {
+                *why = LeftOut::Duplicate(other.clone());
+            }
+            if let Some(other) = pictures.iter().find(|picture| picture.name == other) {
+                used.insert(worst, other);
+            }
+        }
+        left_out.push((name, off));
     }
 }
 

@@ -152,7 +152,10 @@ pub(crate) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
             left_out.push((picture, Unusable::Blurred { edge_px, square_px }));
             continue;
         }
-        if let Some(other) = pictures.iter().take(picture).find(|other| same_images(other, images)) {
+        // Of what is left out itself, nothing is a duplicate.
+        let is_used = |other: &usize| left_out.iter().all(|(index, _)| index != other);
+        let mut used = pictures.iter().enumerate().take(picture).filter(|(other, _)| is_used(other));
+        if let Some((_, other)) = used.find(|(_, other)| same_images(other, images)) {
             left_out.push((picture, Unusable::Duplicate(other.name.clone())));
             continue;
         }

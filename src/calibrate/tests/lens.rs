@@ -84,6 +84,23 @@ fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
 }
 
 #[test]
+fn a_sound_picture_takes_the_place_of_one_that_is_off_and_shows_the_same() {
+    let mut pictures = air(&TILTS, 0.05);
+    let sound = pictures[3].clone();
+    for (i, pixel) in &mut pictures[3].image.corners {
+        pixel.x += 1.5 * (*i as f64).sin();
+    }
+    for name in ["again.png", "once_more.png"] {
+        pictures.push(BoardPicture { name: name.into(), ..sound.clone() });
+    }
+    let found = calibrate_camera(&board(), &pictures, LensModel::Five).unwrap();
+    let used: Vec<&str> = found.used.iter().map(|picture| picture.name.as_str()).collect();
+    assert_eq!(used, ["0.png", "1.png", "2.png", "again.png", "4.png", "5.png", "6.png", "7.png"]);
+    assert_eq!(found.left_out[0], ("once_more.png".into(), LeftOut::Duplicate("again.png".into())));
+    assert!(matches!(&found.left_out[1], (name, LeftOut::Off { .. }) if name == "3.png"), "{:?}", found.left_out);
+}
+
+#[test]
 fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
     let error = |pictures: &[BoardPicture]| calibrate_camera(&board(), pictures, LensModel::Five).unwrap_err();
     assert!(matches!(error(&air(&TILTS[..3], 0.05)), CameraError::TooFew { found: 3, .. }));

@@ -4,12 +4,12 @@ use crate::identify::chain::identification::{Differs, Fit, Identification};
 use crate::identify::checks::diagnostic::{Diagnostic, WayBack};
 use crate::identify::checks::residuals::{Residuals, too_many};
 use crate::identify::checks::wrong_values::leaves_sigma;
-use crate::identify::data::segments::{Data, Record};
+use crate::identify::data::segments::Data;
 use crate::identify::data::spectrum::Spectrum;
 use crate::identify::model::continuous::Conversion;
 use crate::identify::model::modelled::{ContinuousEstimate, Modelled, Role};
 use crate::identify::model::polynomials::{Orders, angle};
-use crate::identify::model::reproduction::{InitialState, Kind, best_gain};
+use crate::identify::model::reproduction::{InitialState, Kind};
 
 /// Condition number beyond which least squares keeps fewer than five digits.
 const ILL_CONDITIONED: f64 = 1e10;
@@ -30,24 +30,23 @@ const SIGNIFICANT_SD: f64 = 3.3;
 const MANY_LINES: f64 = 0.2;
 /// Seconds from sample to sample of hardly any record of a catheter: a unit may be wrong.
 const SLOW_S: f64 = 0.2;
+const FAST_S: f64 = 5e-4;
 /// Number of periods from which the expressions for estimated variances hold (see `periodic`).
 const ENOUGH_PERIODS: usize = 7;
 
 /// Simulation error beyond which a model is called poor, percent.
 pub(in crate::identify) const POOR_FIT_PERCENT: f64 = 50.0;
-/// Difference between the gains of records that are fitted together that is reported, as part of them.
-const GAIN_TOLERANCE: f64 = 0.03;
 /// Simulation error of an output of zero, percent.
 pub(in crate::identify) const WORSE_THAN_ZERO_PERCENT: f64 = 100.0;
 
-/// The question about a sampling period so long that the times may have another unit.
-pub(in crate::identify) fn slow(period_s: f64) -> Option<Diagnostic> {
-    (period_s > SLOW_S).then_some(Diagnostic::Slow { period_s })
+/// The question about a sampling period so long, or so short, that the times may have another unit.
+pub(in crate::identify) fn other_unit(period_s: f64) -> Option<Diagnostic> {
+    (!(FAST_S..=SLOW_S).contains(&period_s)).then_some(Diagnostic::OtherUnit { period_s })
 }
 
 /// All diagnostics about a result. `commanded`: the input was told to the system.
 pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -> Vec<Diagnostic> {
-    let mut diagnostics: Vec<Diagnostic> = slow(data.period_s).into_iter().collect();
+    let mut diagnostics: Vec<Diagnostic> = other_unit(data.period_s).into_iter().collect();
     for model in &done.models {
         let (title, largest_pole) = (model.title.clone(), model.largest_pole);
         if !model.is_stable() {
@@ -97,13 +96,15 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
         None => diagnostics.push(Diagnostic::NoSpectrum),
     }
     diagnostics.extend(off_centre(data));
-    diagnostics.extend(done.wrong_values.iter().cloned());
+    // A model that was fitted from the wrong state is bent, and fits each record by another gain.
+    let not_at_rest = not_at_rest(data, done);
+    let follows = |told: &&Diagnostic| not_at_rest.is_some() && matches!(told, Diagnostic::Gains { .. });
+    diagnostics.extend(done.wrong_values.iter().filter(|told| !follows(told)).cloned());
     if done.wrong_values.iter().any(|told| !leaves_sigma(told)) {
         let fitted = done.models.iter().filter(|model| matches!(model.role, Role::Refined | Role::Periodic));
         diagnostics.extend(fitted.map(|model| Diagnostic::OfWrongValues { title: model.title.clone() }));
     }
-    // A model that was fitted from the wrong state is bent, and fits each record by another gain.
-    diagnostics.extend(not_at_rest(data, done).or_else(|| other_gains(data, done)));
+    diagnostics.extend(not_at_rest);
     diagnostics.extend(against_torque(data, done));
     if let Some(residuals) = &done.residuals {
         let has_instrument = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
@@ -255,19 +256,6 @@ fn off_centre(data: &Data) -> Vec<Diagnostic> {
         .filter(|(_, ratio)| *ratio > OFFSET_RATIO)
         .map(|(what, ratio)| Diagnostic::OffCentre { what, ratio })
         .collect()
-}
-
-/// Whether the records differ in their gain.
-fn other_gains(data: &Data, done: &Identification) -> Option<Diagnostic> {
-    let model = done.leading().filter(|model| model.is_stable())?;
-    // What the states contribute with which records begin is no gain.
-    let gain =
-        |record: &Record| (record.name.clone(), best_gain(&model.model, &record.segments, InitialState::Estimated));
-    let gains: Vec<_> = data.training.iter().map(gain).filter(|(_, gain)| gain.is_finite()).collect();
-    let least = gains.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
-    let most = gains.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let differ = least.1 <= 0.0 || most.1 / least.1 > 1.0 + GAIN_TOLERANCE;
-    (gains.len() > 1 && differ).then(|| Diagnostic::Gains { records: [least.clone(), most.clone()] })
 }
 
 /// Whether the refined model simulates the fitted records much better from another state than from rest.

@@ -93,6 +93,8 @@ pub enum Diagnostic {
     Gains {
         /// The records that differ most, each with its factor.
         records: [(String, f64); 2],
+        /// Whether that is beyond noise.
+        certain: bool,
     },
     /// An output that lies elsewhere from some moment on.
     Jumps {
@@ -325,8 +327,8 @@ pub enum Diagnostic {
     },
     /// The record is too short for a frequency response without a model.
     NoSpectrum,
-    /// Samples so far apart that the times may have another unit.
-    Slow {
+    /// Samples so far apart, or so close, that the times may have another unit.
+    OtherUnit {
         /// Seconds from sample to sample.
         period_s: f64,
     },
@@ -365,6 +367,8 @@ fn why_poor(linear: Option<f64>) -> String {
 /// What times are probably in that give so long a period as seconds: samples are 10 to 10,000 times a second.
 fn likely_unit(period_s: f64) -> &'static str {
     match period_s {
+        ..=1e-5 => "days",
+        ..=1e-2 => "minutes",
         ..=100.0 => "milliseconds",
         ..=1e5 => "microseconds",
         _ => "nanoseconds",
@@ -439,10 +443,11 @@ impl fmt::Display for Diagnostic {
                 write!(f, "the mean of the {what} is {ratio:.1} times its spread: --detrend mean takes it off")
             }
             Self::Outlying { record, outliers } => write!(f, "{record}: {outliers}"),
-            Self::Gains { records: [(less, least), (more, most)] } => write!(
+            Self::Gains { records: [(less, least), (more, most)], certain } => write!(
                 f,
-                "{more} would fit the common model best times {most:.3}, {less} times {least:.3}: other units, another \
-                 coil or amplifier range? Identify them one by one"
+                "{more} would fit the common model best times {most:.3}, {less} times {least:.3}{}: other units, another \
+                 coil or amplifier range, or a response that depends on the size of the motion? Identify them one by one",
+                if *certain { "" } else { ", by noise or not" }
             ),
             Self::Jumps { record, jump } => write!(f, "{record}: {jump}"),
             Self::Frozen { record, frozen } => write!(f, "{record}: {frozen}"),
@@ -596,9 +601,10 @@ impl fmt::Display for Diagnostic {
                     "{periods} periods are averaged: from 7 on their noise is known well enough for the σ of H(s)"
                 )
             }
-            Self::Slow { period_s } => write!(
+            Self::OtherUnit { period_s } => write!(
                 f,
-                "samples are {period_s:.4} s apart: are the times {}? They are taken as seconds",
+                "samples are {} s apart: are the times {}? They are taken as seconds",
+                if *period_s < 1e-3 { format!("{period_s:.1e}") } else { format!("{period_s:.4}") },
                 likely_unit(*period_s)
             ),
             Self::NoSpectrum => {

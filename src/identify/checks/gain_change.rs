@@ -17,6 +17,10 @@ const MIN_CHANGE: f64 = 0.02;
 /// Energy of the simulated output, as a part of all, that either side must have.
 const MIN_SIDE: f64 = 0.05;
 
+/// Part of the samples that either side must have: where a model does not describe the record, the first few fit by any
+/// factor.
+const MIN_SAMPLES: f64 = 0.05;
+
 /// Where a record's output begins to be larger or smaller.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GainChange {
@@ -46,9 +50,11 @@ pub(super) fn gain_change(model: &Polynomials, record: &Record, period_s: f64) -
     let (all, both) = samples.iter().fold((0.0, 0.0), sums);
     let (mut before, mut with) = (0.0, 0.0);
     let mut best: Option<(f64, GainChange)> = None;
-    for sample in &samples {
+    let least = (MIN_SAMPLES * samples.len() as f64) as usize;
+    for (k, sample) in samples.iter().enumerate() {
         let after = all - before;
-        if before.min(after) > MIN_SIDE * all {
+        let is_part = k.min(samples.len() - k) >= least;
+        if is_part && before.min(after) > MIN_SIDE * all {
             let (first, second) = (with / before, (both - with) / after);
             // More than one factor does.
             let explained = with * first + (both - with) * second - both * both / all;

@@ -11,6 +11,7 @@ pub(super) mod model_error;
 mod nonlinear;
 pub(super) mod other_orders;
 mod outliers;
+mod record_gains;
 pub(crate) mod residuals;
 mod whitened_simulation;
 pub(super) mod wrong_values;

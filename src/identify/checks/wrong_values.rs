@@ -1,4 +1,5 @@
-//! Values of the fitted records that cannot be right, and what no linear model explains.
+//! Values of the fitted records that cannot be right, records that contradict each other, and what no linear model
+//! explains.
 
 use crate::identify::checks::diagnostic::Diagnostic;
 use crate::identify::checks::frozen::{Signal, frozen};
@@ -7,6 +8,7 @@ use crate::identify::checks::gain_drift::gain_drift;
 use crate::identify::checks::jump::jump;
 use crate::identify::checks::nonlinear::nonlinear;
 use crate::identify::checks::outliers;
+use crate::identify::checks::record_gains::record_gains;
 use crate::identify::data::segments::Record;
 use crate::identify::model::modelled::{Modelled, Role};
 
@@ -38,10 +40,11 @@ pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled]
         let not_linear = || Some(Diagnostic::Nonlinear { record: name(), found: nonlinear(&model?.model, record)? });
         [outlying, at_limit, moved, hung.or_else(not_linear)]
     };
-    training.iter().flat_map(of_record).flatten().collect()
+    let told = training.iter().flat_map(of_record).flatten();
+    told.chain(model.and_then(|model| record_gains(&model.model, training))).collect()
 }
 
 /// Whether the errors of a model of such records are still those of noise. A few outlying values are like noise.
 pub(in crate::identify) fn leaves_sigma(told: &Diagnostic) -> bool {
-    matches!(told, Diagnostic::Outlying { .. })
+    matches!(told, Diagnostic::Outlying { .. } | Diagnostic::Gains { certain: false, .. })
 }

@@ -5,7 +5,7 @@
 
 use crate::identify::chain::identification::Fit;
 use crate::identify::chain::steps::fits;
-use crate::identify::chain::warnings::slow;
+use crate::identify::chain::warnings::other_unit;
 use crate::identify::data::segments::{Data, Segment};
 use crate::identify::data::spectrum::{Spectrum, spectrum};
 use crate::identify::model::modelled::{Modelled, Role};
@@ -51,7 +51,7 @@ pub(crate) fn apply(
     let spectrum = spectrum(&segments, data.period_s);
     let excited_hz = spectrum.as_ref().map_or((0.0, 0.5 / data.period_s), |s| s.excited_hz);
     let mut models = Vec::new();
-    let mut notes: Vec<String> = slow(data.period_s).iter().map(ToString::to_string).collect();
+    let mut notes: Vec<String> = other_unit(data.period_s).iter().map(ToString::to_string).collect();
     for model in &saved.models {
         match model.at(data.period_s) {
             Ok(samples) => {
