@@ -30,6 +30,8 @@ const OTHER_UNIT: f64 = 20.0;
 const MANY_LEFT_OUT: f64 = 0.25;
 /// Points that lie further than this fraction of the radius from their circle (RMS) are noted.
 const FAR_FROM_CIRCLE: f64 = 0.05;
+/// More frames than this fraction with the place of the one before are noted.
+const MANY_REPEATED: f64 = 0.2;
 /// Frames per period below which amplitudes suffer.
 const FEW_FRAMES: f64 = 8.0;
 
@@ -248,7 +250,9 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= window.at_ns(skipped)).count();
     let sd = whole.as_ref().and(response_sd(path, &steps, (sd_m, seen), magnitude.as_ref()));
     let too_far = |sd: f64| lone.zip(magnitude).is_some_and(|(lone, size)| lone.mean_m > sd * size.observed_m);
-    let sound_sd = sd.filter(|sd| !too_far(*sd));
+    let repeated = repeated(&of_runs);
+    let sound_sd = sd.filter(|sd| !too_far(*sd) && repeated.is_none());
+    notes.extend(repeated);
     notes.extend(lone.map(|lone| lone.note(sd.is_some() && sound_sd.is_none())));
     Ok(Run {
         file: recording.path.clone(),
@@ -369,6 +373,18 @@ fn lone_period(path: &DesiredPath, commands: usize) -> Option<String> {
         "fewer than two periods count, so nothing shows what does not repeat: magnitude and phase have no σ (record \
          more periods, or leave fewer out with --skip)"
             .to_owned()
+    })
+}
+
+/// That many frames have exactly the place of the one before.
+fn repeated(samples: &[Sample]) -> Option<String> {
+    let same = samples.iter().zip(samples.iter().skip(1)).filter(|(one, next)| one.1 == next.1).count();
+    (same as f64 > MANY_REPEATED * samples.len() as f64).then(|| {
+        format!(
+            "{same} of {} frames have exactly the place of the one before: places are new more seldom than there are \
+             frames, which makes the motion late, or are rounded; magnitude and phase have no σ",
+            samples.len()
+        )
     })
 }
 

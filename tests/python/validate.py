@@ -120,7 +120,7 @@ def circle_radius(points):
 
 
 def lag_points(desired, observed, numbers):
-    """Peak of the correlation coefficient over circular lags, sub-sample by a parabola."""
+    """Peak of the correlation coefficient over circular lags, sub-sample by a cosine of the path's period."""
     y = observed - observed.mean(axis=0)
     r = []
     for lag in range(N):
@@ -130,7 +130,8 @@ def lag_points(desired, observed, numbers):
     r = np.array(r)
     k = int(np.argmax(r))
     a, b, c = r[k - 1], r[k], r[(k + 1) % N]
-    lag = k + (a - c) / (2 * (a - 2 * b + c))
+    w = 2 * np.pi / N
+    lag = k + np.arctan((c - a) / np.sin(w) / ((2 * b - a - c) / (1 - np.cos(w)))) / w
     return lag - N if lag > N / 2 else lag
 
 
