@@ -182,6 +182,10 @@ fn a_wrong_zero_and_a_clock_that_drifts_are_found_and_do_no_harm() {
     assert!(same.iter().zip(&clean).all(|(a, b)| (a / b - 1.0).abs() < 0.02), "{same:?}, {clean:?}");
     let (_, _, told) = refined(&record, &fast, &[]);
     assert!(told.contains("--delay auto moves them by it") && told.contains("before the commands"), "{told}");
+    // What a model of second order leaves beyond noise it may have made up for by its delay.
+    let accurate = changed(folder.path(), "training.csv", "theta_sd_deg", |_, _| 0.02);
+    let (_, _, told) = refined(&accurate, &fast, &[]);
+    assert!(told.contains("makes up for what the model lacks") && !told.contains("before the commands"), "{told}");
 }
 
 #[test]

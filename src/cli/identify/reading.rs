@@ -16,13 +16,15 @@ use crate::identify::estimate::clock_delay::{self, Delay, Drift, Timing};
 use crate::identify::estimate::unknown_zero::Zero;
 use crate::identify::model::reproduction::InitialState;
 use crate::identify::results::provenance::{Provenance, RecordSummary};
-use crate::series::{columns, unit_s};
+use crate::series::{Recording, columns, unit_s};
 use std::path::Path;
 
 /// Fewest samples after decimation.
 const DECIMATION_NEEDS: usize = 11;
 /// Angle below which all of a record is hardly a deflection in degrees.
 const LEAST_DEGREES: f64 = 1.0;
+/// A model that leaves more than this many times σ of θ lacks something.
+const MISFIT: f64 = 3.0;
 /// The input of a log without Eq. 6.
 const CURRENT: &str = "current";
 
@@ -294,7 +296,16 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         );
     }
     let told = apparent.as_ref().filter(|delay| delay.others_s.is_empty());
-    if let Some(delay) = told.filter(|delay| delay.is_before(delay_s)) {
+    let matters = |delay: &Delay| args.delay == DelayArg::Auto || delay.is_before(delay_s);
+    let bent = told.filter(|delay| matters(delay)).and_then(|delay| Some((delay, misfit(&recording, delay)?)));
+    if let Some((delay, times)) = bent {
+        tracing::warn!(
+            "{name}: the delay between commands and output, {:.1} ± {:.1} ms, is that of a model of second order, which \
+             leaves {times:.0} times σ of θ: it makes up for what the model lacks, and may be off by many times its σ",
+            delay.delay_s * 1e3,
+            delay.sd_s * 1e3
+        );
+    } else if let Some(delay) = told.filter(|delay| delay.is_before(delay_s)) {
         tracing::warn!(
             "{name}: θ seems to move {:.1} ± {:.1} ms before the commands: with wrong times H(s) is wrong; \
              --delay auto corrects them",
@@ -353,6 +364,13 @@ fn without_drift(args: &Args, source: &str, held: Held, (drift, told): (Drift, b
          against the camera's, which spoils H(s); {remedy}. Better are currents with the camera's times"
     );
     if fitted { held.drifted(drift.rate, middle_s) } else { held }
+}
+
+/// How many times σ of θ the model of a delay leaves, if that is more than noise.
+fn misfit(recording: &Recording, delay: &Delay) -> Option<f64> {
+    let squares: Vec<f64> = recording.frames.iter().filter_map(|frame| Some(frame.theta_sd_rad?.powi(2))).collect();
+    let noise = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    Some(delay.residual_rms / noise).filter(|times| times.is_finite() && *times > MISFIT)
 }
 
 /// The apparent delay of the output, searched around the given one. `own_clock`: see [`clock_delay::estimate`].

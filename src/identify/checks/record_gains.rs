@@ -7,7 +7,8 @@
 
 use super::diagnostic::Diagnostic;
 use crate::identify::data::segments::Record;
-use crate::identify::model::polynomials::Polynomials;
+use crate::identify::estimate::arx;
+use crate::identify::model::polynomials::{Orders, Polynomials};
 use crate::identify::model::reproduction::{InitialState, Kind, output};
 
 /// Parts of a record, and least samples of a part.
@@ -24,16 +25,43 @@ const LARGE: f64 = 0.03;
 /// Whether gains of the records differ, as `model` tells. What the states contribute with which records begin is no
 /// gain.
 pub(super) fn record_gains(model: &Polynomials, training: &[Record]) -> Option<Diagnostic> {
-    let gains = training.iter().filter_map(|record| Some((record.name.clone(), Gain::of(model, record)?)));
-    let gains: Vec<(String, Gain)> = gains.collect();
-    let least = gains.iter().min_by(|a, b| a.1.value.total_cmp(&b.1.value))?;
-    let most = gains.iter().max_by(|a, b| a.1.value.total_cmp(&b.1.value))?;
-    let apart = most.1.value - least.1.value;
-    let part = if least.1.value > 0.0 { apart / most.1.value } else { f64::INFINITY };
-    let sd = least.1.sd.zip(most.1.sd).map(|(a, b)| a.hypot(b));
-    let certain = part > LEAST && sd.is_some_and(|sd| apart > SIGNIFICANT_SD * sd);
-    let records = [least, most].map(|(name, gain)| (name.clone(), gain.value));
-    (gains.len() > 1 && (certain || part > LARGE)).then_some(Diagnostic::Gains { records, certain })
+    let common = Extremes::of(model, training)?;
+    // Where records contradict each other, the common model is nearly nothing, and its factors tell nothing.
+    let own = if common.part.is_finite() { None } else { of_one_record(model, training) };
+    let certain = [Some(&common), own.as_ref()].into_iter().flatten().any(|extremes| extremes.certain);
+    (certain || common.part > LARGE).then_some(Diagnostic::Gains { records: common.records, certain })
+}
+
+/// The least and the largest gain.
+struct Extremes {
+    records: [(String, f64); 2],
+    /// Their difference as part of the larger; infinite for different signs.
+    part: f64,
+    /// Whether that is beyond noise.
+    certain: bool,
+}
+
+impl Extremes {
+    /// `None` with fewer than two gains.
+    fn of(model: &Polynomials, training: &[Record]) -> Option<Self> {
+        let gains = training.iter().filter_map(|record| Some((record.name.clone(), Gain::of(model, record)?)));
+        let gains: Vec<(String, Gain)> = gains.collect();
+        let least = gains.iter().min_by(|a, b| a.1.value.total_cmp(&b.1.value))?;
+        let most = gains.iter().max_by(|a, b| a.1.value.total_cmp(&b.1.value))?;
+        let apart = most.1.value - least.1.value;
+        let part = if least.1.value > 0.0 { apart / most.1.value } else { f64::INFINITY };
+        let sd = least.1.sd.zip(most.1.sd).map(|(a, b)| a.hypot(b));
+        let certain = part > LEAST && sd.is_some_and(|sd| apart > SIGNIFICANT_SD * sd);
+        let records = [least, most].map(|(name, gain)| (name.clone(), gain.value));
+        (gains.len() > 1).then_some(Self { records, part, certain })
+    }
+}
+
+/// The gains by an ARX model of the first record alone, of the orders of `model`.
+fn of_one_record(model: &Polynomials, training: &[Record]) -> Option<Extremes> {
+    let orders = Orders { na: model.a.len().checked_sub(1)?, nb: model.b.len(), nk: model.nk };
+    let own = arx::fit(&training.first()?.segments, orders).ok()?.model;
+    if own.is_stable() { Extremes::of(&own, training) } else { None }
 }
 
 /// The factor with which the model's output fits a record best.
@@ -74,7 +102,15 @@ mod tests {
 
     /// Records of these gains and numbers of samples, with noise that lasts for ten samples.
     fn told(seed: u64, records: &[(f64, usize)]) -> Option<bool> {
-        let model = Polynomials { a: vec![1.0, -1.890_75, 0.904_38], b: vec![0.006_93, 0.006_7], nk: 1 };
+        told_by(&model(), seed, records)
+    }
+
+    fn model() -> Polynomials {
+        Polynomials { a: vec![1.0, -1.890_75, 0.904_38], b: vec![0.006_93, 0.006_7], nk: 1 }
+    }
+
+    fn told_by(by: &Polynomials, seed: u64, records: &[(f64, usize)]) -> Option<bool> {
+        let model = model();
         let record = |(index, &(gain, samples)): (usize, &(f64, usize))| {
             let input = noise(seed + 10 * index as u64 + 1, samples);
             let mut last = 0.0;
@@ -88,7 +124,7 @@ mod tests {
             Record { name: index.to_string(), segments: vec![segment] }
         };
         let records: Vec<Record> = records.iter().enumerate().map(record).collect();
-        record_gains(&model, &records).map(|told| {
+        record_gains(by, &records).map(|told| {
             let Diagnostic::Gains { records, certain } = told else { panic!("{told:?}") };
             assert!(records[0].1 <= records[1].1);
             certain
@@ -102,6 +138,10 @@ mod tests {
             assert_eq!(told(100 * seed, &[(1.0, 3000), (1.1, 3000)]), Some(true), "{seed}");
             assert_eq!(told(100 * seed, &[(1.0, 3000), (-1.0, 3000)]), Some(true), "{seed}");
         }
+        // The model of both is nothing.
+        let nothing = Polynomials { b: vec![1e-5, -2e-5], ..model() };
+        assert_eq!(told_by(&nothing, 1, &[(1.0, 3000), (-1.0, 3000)]), Some(true));
+        assert_ne!(told_by(&nothing, 1, &[(1.0, 3000), (1.0, 3000)]), Some(true));
         // Too short to tell σ.
         assert_eq!(told(1, &[(1.0, 90), (1.5, 90)]), Some(false));
         assert_eq!(told(1, &[(1.0, 3000)]), None);
