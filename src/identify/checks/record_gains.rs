@@ -9,7 +9,7 @@ use super::diagnostic::Diagnostic;
 use crate::identify::data::segments::Record;
 use crate::identify::estimate::arx;
 use crate::identify::model::polynomials::{Orders, Polynomials};
-use crate::identify::model::reproduction::{InitialState, Kind, output};
+use crate::identify::model::reproduction::free_response;
 
 /// Parts of a record, and least samples of a part.
 const PARTS: usize = 10;
@@ -27,7 +27,7 @@ const LARGE: f64 = 0.03;
 pub(super) fn record_gains(model: &Polynomials, training: &[Record]) -> Option<Diagnostic> {
     let common = Extremes::of(model, training)?;
     // Where records contradict each other, the common model is nearly nothing, and its factors tell nothing.
-    let own = if common.part.is_finite() { None } else { of_one_record(model, training) };
+    let own = if common.certain { None } else { of_one_record(model, training) };
     let certain = [Some(&common), own.as_ref()].into_iter().flatten().any(|extremes| extremes.certain);
     (certain || common.part > LARGE).then_some(Diagnostic::Gains { records: common.records, certain })
 }
@@ -76,8 +76,10 @@ impl Gain {
     fn of(model: &Polynomials, record: &Record) -> Option<Self> {
         let mut products: Vec<(f64, f64)> = Vec::new();
         for segment in &record.segments {
-            let modelled = output(model, segment, Kind::Simulation(InitialState::Estimated));
-            let pairs = segment.output.iter().zip(modelled).filter(|(y, _)| !y.is_nan());
+            let modelled = model.simulate(&segment.input);
+            let free = free_response(model, segment, &modelled).unwrap_or_else(|| vec![0.0; modelled.len()]);
+            let forced = segment.output.iter().zip(free).map(|(y, free)| y - free);
+            let pairs = forced.zip(modelled).filter(|(y, _)| !y.is_nan());
             products.extend(pairs.map(|(y, m)| (y * m, m * m)));
         }
         let sums = |part: &[(f64, f64)]| part.iter().fold((0.0, 0.0), |(p, e), (ym, mm)| (p + ym, e + mm));
