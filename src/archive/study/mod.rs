@@ -129,6 +129,7 @@ impl Study {
             return Ok(());
         }
         searched.insert(whole.clone(), depth);
+        let below = below(folder).map_err(io)?;
         if !known.contains(&whole) {
             let results = match RunSummary::read(folder) {
                 Ok(Some(summary)) => {
@@ -149,7 +150,7 @@ impl Study {
                 known.insert(whole);
             }
         }
-        for folder in below(folder).map_err(io)? {
+        for folder in below {
             // Only that folder is left out, with what is in it.
             if let Err(error) = self.look(&folder, depth + 1, known, searched) {
                 self.left_out.push(error.into());

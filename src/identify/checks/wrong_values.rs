@@ -15,8 +15,12 @@ use crate::identify::model::modelled::{Modelled, Role};
 /// What the records show, as the models tell: record by record.
 pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled], period_s: f64) -> Vec<Diagnostic> {
     let model = Role::leading(models, |model| model.role).filter(|model| model.is_stable());
-    // Where the input depends on the output, a refined model may follow a jump.
-    let stable = || models.iter().filter(|model| model.is_stable());
+    // Where the input depends on the output, a refined model may follow a jump; elsewhere a model that describes the
+    // record badly shows changes that are its own.
+    let fed_back = training.iter().flat_map(|record| &record.segments).any(|segment| segment.instrument.is_some());
+    let is_asked =
+        |asked: &&Modelled| asked.is_stable() && (fed_back || model.is_none_or(|led| led.role == asked.role));
+    let asked = || models.iter().filter(is_asked);
     let of_record = |record: &Record| {
         let name = || record.name.clone();
         let outlying = model.and_then(|model| {
@@ -25,9 +29,9 @@ pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled]
         });
         let at_limit = outliers::limit(model.map(|model| &model.model), record);
         let at_limit = at_limit.map(|(count, value)| Diagnostic::AtLimit { record: name(), count, value });
-        let jump = stable().find_map(|model| jump(&model.model, record, period_s));
+        let jump = asked().find_map(|model| jump(&model.model, record, period_s));
         let moved = jump.map(|jump| Diagnostic::Jumps { record: name(), jump }).or_else(|| {
-            let change = stable().find_map(|model| gain_change(&model.model, record, period_s));
+            let change = asked().find_map(|model| gain_change(&model.model, record, period_s));
             let change = change.map(|change| Diagnostic::GainChange { record: name(), change });
             change.or_else(|| Some(Diagnostic::GainDrift { record: name(), drift: gain_drift(&model?.model, record)? }))
         });
