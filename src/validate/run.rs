@@ -30,6 +30,8 @@ const OTHER_UNIT: f64 = 20.0;
 const MANY_LEFT_OUT: f64 = 0.25;
 /// Points that lie further than this fraction of the radius from their circle (RMS) are noted.
 const FAR_FROM_CIRCLE: f64 = 0.05;
+/// Distances up to this many σ of a coordinate are noise.
+const NOISE: f64 = 3.0;
 /// More frames than this fraction with the place of the one before are noted.
 const MANY_REPEATED: f64 = 0.2;
 /// Frames per period below which amplitudes suffer.
@@ -239,7 +241,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     notes.extend(weak_correlation(lag.as_ref()));
     notes.extend(other_unit(&points, &wanted));
     notes.extend(few_frames(frames_per_period));
-    notes.extend(circle.as_ref().and_then(far_from_circle));
+    notes.extend(circle.as_ref().and_then(|circle| far_from_circle(circle, sd_m)));
     notes.extend(sd_m.and(lone_period(path, steps.len())));
     // Wrong frames at the same place of each period would look like the response.
     let of_runs: Vec<Sample> =
@@ -356,9 +358,10 @@ fn other_unit(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> Option<Strin
     })
 }
 
-/// A circle whose radius is hardly the size of the motion.
-fn far_from_circle(circle: &Circle) -> Option<String> {
-    (circle.rms_m > FAR_FROM_CIRCLE * circle.radius_m).then(|| {
+/// A circle whose radius is hardly the size of the motion, by more than noise of `sd_m` in each coordinate.
+fn far_from_circle(circle: &Circle, sd_m: Option<f64>) -> Option<String> {
+    let beyond_noise = sd_m.is_none_or(|sd_m| circle.rms_m > NOISE * sd_m);
+    (beyond_noise && circle.rms_m > FAR_FROM_CIRCLE * circle.radius_m).then(|| {
         format!(
             "the points lie {:.3} mm (RMS) from their circle with a radius of {:.3} mm: the motion is not a circle, \
              and its magnitude is only that of the circle nearest to it",
