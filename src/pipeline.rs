@@ -74,7 +74,8 @@ pub enum End {
 
 /// Tracks `source` to its end, or until `interrupt` is set (which is checked before every frame).
 ///
-/// `progress` is called in the caller's thread after every frame, and once more when the run is over. Fits run in parallel in the caller's [`rayon`] pool.
+/// `progress` is called in the caller's thread after every frame, and once more when the run is over. Fits run in
+/// parallel in the caller's [`rayon`] pool.
 /// Failures of source, tracker and sinks are in the [`Summary`]: what was tracked before is written and stays valid.
 ///
 /// # Errors

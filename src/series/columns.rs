@@ -41,8 +41,8 @@ pub(crate) fn columns_and(
     Ok((three([a?, b?, c?])?, sheet.all_of(more)?.map(three).transpose()?))
 }
 
-/// Seconds in the unit that the name of a column ends in, as `t_ms`, `TIME (msec)`, `time [us]` or `stamp_ns`; of others
-/// 1.
+/// Seconds in the unit that the name of a column ends in, as `t_ms`, `TIME (msec)`, `time [us]` or `stamp_ns`; of
+/// others 1.
 pub(crate) fn unit_s(name: &str) -> f64 {
     let name = name.trim_end_matches([']', ')', ' ']).to_lowercase();
     let last = name.rsplit(['_', ' ', '[', '(', '/', '.']).next().filter(|word| word.len() < name.len());

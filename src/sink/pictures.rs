@@ -174,8 +174,8 @@ impl Sink for PictureVideo {
         if !can_hold(picture) {
             if !self.warned {
                 tracing::warn!(
-                    "{}: damaged and interlaced pictures, and those of which a log has only parts, are left out, as the \
-                     video cannot say what they are",
+                    "{}: damaged and interlaced pictures, and those of which a log has only parts, are left out, as \
+                     the video cannot say what they are",
                     self.path.display()
                 );
                 self.warned = true;

@@ -6,8 +6,8 @@
 //! Method. ρ(τ) = Σ (y_k − ȳ)·(x_{k−τ} − x̄) / (|y| |x|), x continued periodically, as commanded; means and norms are
 //! those of the available pairs. So every lag is judged by the same points, unlike in a plain cross-correlation of two
 //! finite pieces, which favours larger overlap (for four periods of 200 points by 1.3 points, 2.3°). The peak is that
-//! of the cosine of the path's period through the best lag and its neighbours, which ρ is for a circle: a parabola would
-//! be up to 0.5° off with 8 points.
+//! of the cosine of the path's period through the best lag and its neighbours, which ρ is for a circle: a parabola
+//! would be up to 0.5° off with 8 points.
 //!
 //! What it cannot know: the number of whole periods (lags are within ± half a period), and whether a circle lags or is
 //! rotated about its axis.

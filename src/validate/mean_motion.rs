@@ -54,9 +54,9 @@ pub(super) fn align(periods: &mut [Shifted], length: usize) {
     }
 }
 
-/// The points of whole periods of a path, those that are missing by a Fourier series through the others, with the path's
-/// own harmonics: without them the size of a motion, and its lag, would be those of the part of it that was seen. `None`
-/// where a hole that all periods have is too wide for that.
+/// The points of whole periods of a path, those that are missing by a Fourier series through the others, with the
+/// path's own harmonics: without them the size of a motion, and its lag, would be those of the part of it that was
+/// seen. `None` where a hole that all periods have is too wide for that.
 pub(super) fn filled(path: &[Point3<f64>], observed: &[Option<Point3<f64>>]) -> Option<Vec<Point3<f64>>> {
     let length = path.len();
     let known = observed.iter().enumerate().filter_map(|(k, point)| Some((k, (*point)?)));

@@ -220,14 +220,18 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         .circle
         .and(plane)
         .and_then(|plane| Circle::through(&points.iter().map(|point| plane.flat(point)).collect::<Vec<_>>()));
-    let observed_points: Vec<Option<Point3<f64>>> = steps.iter().map(|step| step.observed).collect();
-    let whole = filled(&path.points, &observed_points);
-    notes.extend(whole.is_none().then(|| lacking(path, &observed_points)));
-    let all_wanted: Vec<Point3<f64>> = steps.iter().map(|step| step.desired).collect();
-    let (whole_points, their_wanted) =
-        whole.as_ref().map_or((&points, &wanted), |whole_points| (whole_points, &all_wanted));
-    let magnitude = magnitude(path, (whole_points, their_wanted), circle.as_ref());
-    let lag = if start_from == StartFrom::Search { None } else { lag_of(path, &steps, whole.as_deref(), counted) };
+    let places: Vec<Option<Point3<f64>>> = steps.iter().map(|step| step.observed).collect();
+    let whole = filled(&path.points, &places);
+    notes.extend(whole.is_none().then(|| lacking(path, &places)));
+    // All points, where missing ones can be filled in.
+    let numbered: Vec<(usize, Point3<f64>)> = match &whole {
+        Some(whole) => steps.iter().map(|step| step.k).zip(whole.iter().copied()).collect(),
+        None => steps.iter().filter_map(|step| Some((step.k, step.observed?))).collect(),
+    };
+    let (moved, meant): (Vec<Point3<f64>>, Vec<Point3<f64>>) =
+        numbered.iter().map(|(k, point)| (*point, path.point(*k))).unzip();
+    let magnitude = magnitude(path, &moved, &meant, circle.as_ref());
+    let lag = if start_from == StartFrom::Search { None } else { lag_of(path, &numbered, counted) };
     let phase_deg = lag.map(|lag| -360.0 * lag.points / path.points.len() as f64);
 
     // 5. basis of the numbers
@@ -273,7 +277,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         left_out,
         alignment,
         rms_unaligned_m,
-        gain: gain(whole_points, their_wanted),
+        gain: gain(&moved, &meant),
         magnitude,
         plane,
         circle,
@@ -312,18 +316,14 @@ fn lacking(path: &DesiredPath, observed: &[Option<Point3<f64>>]) -> String {
     let length = path.points.len();
     let unseen = (0..length).filter(|k| observed.iter().skip(*k).step_by(length).all(Option::is_none)).count();
     format!(
-        "{unseen} of the {length} commands of a period have no point in any of them: magnitude, gain and phase are those \
-         of the part that was seen, and have no σ"
+        "{unseen} of the {length} commands of a period have no point in any of them: magnitude, gain and phase are \
+         those of the part that was seen, and have no σ"
     )
 }
 
-/// How much later than the path the observed points are: all of them where missing ones are filled.
-fn lag_of(path: &DesiredPath, steps: &[Step], whole: Option<&[Point3<f64>]>, counted: &[Option<Mean>]) -> Option<Lag> {
-    let numbered: Vec<(usize, Point3<f64>)> = match whole {
-        Some(whole) => steps.iter().map(|step| step.k).zip(whole.iter().copied()).collect(),
-        None => steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect(),
-    };
-    let lag = lag(&path.points, &numbered)?;
+/// How much later than the path the points are, with the numbers of their commands.
+fn lag_of(path: &DesiredPath, numbered: &[(usize, Point3<f64>)], counted: &[Option<Mean>]) -> Option<Lag> {
+    let lag = lag(&path.points, numbered)?;
     // Frames that lie late in their pauses show what comes later than their middle.
     let later: Vec<f64> = counted.iter().flatten().map(|mean| mean.later).collect();
     Some(Lag { points: lag.points + later.iter().sum::<f64>() / later.len().max(1) as f64, ..lag })
@@ -423,7 +423,8 @@ fn gain(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> [Option<f64>; 3] {
 
 fn magnitude(
     path: &DesiredPath,
-    (observed, desired): (&[Point3<f64>], &[Point3<f64>]),
+    observed: &[Point3<f64>],
+    desired: &[Point3<f64>],
     circle: Option<&Circle>,
 ) -> Option<Magnitude> {
     let (of, observed_m, desired_m) = match (path.circle, circle) {

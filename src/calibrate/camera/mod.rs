@@ -245,9 +245,10 @@ pub fn calibrate_camera(
         };
         let name = used.remove(worst).name.clone();
         // What was left out because it shows the same is judged in its place.
-        let again = left_out.iter().position(|(_, why)| *why == LeftOut::Duplicate(name.clone()));
+        let same = LeftOut::Duplicate(name.clone());
+        let again = left_out.iter().position(|(_, why)| *why == same);
         if let Some((other, _)) = again.map(|at| left_out.remove(at)) {
-            for (_, why) in left_out.iter_mut().filter(|(_, why)| *why == LeftOut::Duplicate(name.clone())) {
+            for (_, why) in left_out.iter_mut().filter(|(_, why)| *why == same) {
                 *why = LeftOut::Duplicate(other.clone());
             }
             if let Some(other) = pictures.iter().find(|picture| picture.name == other) {

@@ -300,8 +300,9 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     let bent = told.filter(|delay| matters(delay)).and_then(|delay| Some((delay, misfit(&recording, delay)?)));
     if let Some((delay, times)) = bent {
         tracing::warn!(
-            "{name}: the delay between commands and output, {:.1} ± {:.1} ms, is that of a model of second order, which \
-             leaves {times:.0} times σ of θ: it makes up for what the model lacks, and may be off by many times its σ",
+            "{name}: the delay between commands and output, {:.1} ± {:.1} ms, is that of a model of second order, \
+             which leaves {times:.0} times σ of θ: it makes up for what the model lacks, and may be off by many times \
+             its σ",
             delay.delay_s * 1e3,
             delay.sd_s * 1e3
         );

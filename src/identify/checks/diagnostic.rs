@@ -445,8 +445,9 @@ impl fmt::Display for Diagnostic {
             Self::Outlying { record, outliers } => write!(f, "{record}: {outliers}"),
             Self::Gains { records: [(less, least), (more, most)], certain } => write!(
                 f,
-                "{more} would fit the common model best times {most:.3}, {less} times {least:.3}{}: other units, another \
-                 coil or amplifier range, or a response that depends on the size of the motion? Identify them one by one",
+                "{more} would fit the common model best times {most:.3}, {less} times {least:.3}{}: other units, \
+                 another coil or amplifier range, or a response that depends on the size of the motion? Identify them \
+                 one by one",
                 if *certain { "" } else { ", by noise or not" }
             ),
             Self::Jumps { record, jump } => write!(f, "{record}: {jump}"),
