@@ -5,6 +5,7 @@
 //! states steps of a half to a sixth of what the block was coded with.)
 
 use super::{Picture, Plane, Quantisation};
+use std::hint::black_box;
 use std::ops::Range;
 
 /// Remembers the last picture.
@@ -49,7 +50,9 @@ fn add(plane: &Plane<'_>, quantisation: &Quantisation, shown: &mut [u64]) {
     let inner = inner.start * plane.step..inner.end * plane.step;
     let columns = quantisation.columns.max(1) as usize;
     for (j, shown) in shown.chunks_mut(columns).enumerate() {
-        for row in added(height).step_by(APART).filter_map(|y| plane.row(j * height + y)) {
+        let rows = || added(height).step_by(APART).filter_map(|y| plane.row(j * height + y));
+        rows().for_each(fetch);
+        for row in rows() {
             // A compiler that knows the lengths needs half the time.
             match (block, &inner) {
                 (16, Range { start: 3, end: 13 }) => add_row(row, 16, 3..13, shown),
@@ -58,6 +61,13 @@ fn add(plane: &Plane<'_>, quantisation: &Quantisation, shown: &mut [u64]) {
             }
         }
     }
+}
+
+/// Has a row brought near: one access to each cache line, all of them under way at once. What another core has decoded
+/// comes slowly, and the checksum itself would wait for one line after the other.
+fn fetch(row: &[u8]) {
+    const LINE: usize = 64;
+    black_box(row.iter().step_by(LINE).fold(0, |all, sample| all | sample));
 }
 
 #[inline(always)]
