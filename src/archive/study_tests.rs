@@ -1,6 +1,6 @@
 //! What is found in an archive, and its tables.
 
-use super::study::Study;
+use super::study::{Study, StudyError};
 use super::{FileRecord, Outcome, RunSummary, hash};
 use crate::log::schema::{LOG_FILE, TABLE_FILE, table};
 use parquet::file::reader::SerializedFileReader;
@@ -46,7 +46,7 @@ fn collected(spoil: impl Fn(&str) -> String) -> (Vec<String>, u64, Vec<String>) 
     save(archive.path(), &summary("good", "tip", "base"), &track("tip"));
     save(archive.path(), &summary("other", "tip", "base"), &spoil(&track("tip")));
     let study = Study::find(&[archive.path().to_owned()]).unwrap();
-    let frames = study.write_frames(&archive.path().join("frames.parquet"), || {}).unwrap();
+    let (frames, _) = study.write_frames(&archive.path().join("frames.parquet"), || Ok(())).unwrap();
     let names = study.runs.iter().map(|run| run.name.clone()).collect();
     let why = study.left_out.iter().map(|error| error.to_string().rsplit_once('/').unwrap().1.to_owned());
     (names, frames, why.collect())
@@ -177,10 +177,35 @@ fn every_row_tells_its_frame_of_reference_and_rigs_have_their_own_markers() {
     let said = of_frames(&study).unwrap();
     assert!(said.contains("(base frame in 2 runs, camera frame in 1 run)"), "{said}");
     let table = archive.path().join("frames.parquet");
-    assert_eq!(study.write_frames(&table, || {}).unwrap(), 9);
+    let (count, new) = study.write_frames(&table, || Ok(())).unwrap();
+    new.put_in_place().unwrap();
+    assert_eq!(count, 9);
     let rows = SerializedFileReader::new(fs::File::open(&table).unwrap()).unwrap();
     let frames: Vec<String> = rows.into_iter().map(|row| row.unwrap().get_string(1).unwrap().clone()).collect();
     assert_eq!(frames, ["base", "base", "base", "base", "base", "base", "camera", "camera", "camera"]);
+}
+
+#[test]
+fn an_interrupted_study_leaves_what_was_there() {
+    let archive = tempfile::tempdir().unwrap();
+    let place = tempfile::tempdir().unwrap();
+    save(archive.path(), &summary("a", "tip", "base"), &track("tip"));
+    save(archive.path(), &summary("b", "tip", "base"), &track("tip"));
+    let table = place.path().join("frames.parquet");
+    fs::write(&table, "earlier").unwrap();
+    let study = Study::find(&[archive.path().to_owned()]).unwrap();
+    let mut runs = 0;
+    let after_run = || {
+        runs += 1;
+        Err(StudyError::Interrupted)
+    };
+    assert!(matches!(study.write_frames(&table, after_run), Err(StudyError::Interrupted)));
+    assert_eq!((runs, fs::read_to_string(&table).unwrap().as_str()), (1, "earlier"));
+    // Nor is a whole one in its place before it is put there.
+    let new = study.write_frames(&table, || Ok(())).unwrap();
+    assert_eq!(fs::read_to_string(&table).unwrap(), "earlier");
+    drop(new);
+    assert_eq!(fs::read_dir(place.path()).unwrap().count(), 1);
 }
 
 #[test]
@@ -236,7 +261,7 @@ fn a_column_of_the_manifest_never_takes_the_name_of_another() {
     run.manifest = given.map(|(name, cell)| (name.to_owned(), cell.to_owned())).into();
     save(archive.path(), &run, &track("tip"));
     let path = archive.path().join("runs.parquet");
-    Study::find(&[archive.path().to_owned()]).unwrap().write_runs(&path).unwrap();
+    Study::find(&[archive.path().to_owned()]).unwrap().write_runs(&path).unwrap().put_in_place().unwrap();
     let reader = SerializedFileReader::new(fs::File::open(path).unwrap()).unwrap();
     let row = reader.into_iter().next().unwrap().unwrap();
     let cells: std::collections::BTreeMap<_, _> =

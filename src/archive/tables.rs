@@ -69,7 +69,7 @@ fn column<D: DataType, T>(
     writer.close()
 }
 
-/// A table being written. It appears in its place only when [finished](Table::finish).
+/// A table being written. It appears in its place only when [finished](Table::finish) and put there.
 pub(crate) struct Table {
     place: PathBuf,
     new: NewFile,
@@ -117,17 +117,17 @@ impl Table {
         add().map_err(|source| TableError::Parquet { path: self.place.clone(), source })
     }
 
-    /// Completes the file, and puts it in place.
+    /// Completes the file, which is beside its place until it is put there.
     ///
     /// # Errors
     /// [`TableError`].
-    pub(crate) fn finish(self) -> Result<(), TableError> {
+    pub(crate) fn finish(self) -> Result<NewFile, TableError> {
         let Self { place, new, writer } = self;
         let io = |source| TableError::Io { path: place.clone(), source };
         let buffer = writer.into_inner().map_err(|source| TableError::Parquet { path: place.clone(), source })?;
         let file = buffer.into_inner().map_err(|error| io(error.into_error()))?;
         file.sync_all().map_err(io)?;
-        new.put_in_place().map_err(io)
+        Ok(new)
     }
 }
 
@@ -154,7 +154,7 @@ mod tests {
         table.add(&piece(0)).unwrap();
         table.add(&piece(7)).unwrap();
         assert!(!path.exists());
-        table.finish().unwrap();
+        table.finish().unwrap().put_in_place().unwrap();
         let rows: Vec<_> =
             SerializedFileReader::new(File::open(&path).unwrap()).unwrap().into_iter().map(Result::unwrap).collect();
         assert_eq!(rows.len(), 6);

@@ -11,6 +11,7 @@ use crate::plural::plural;
 use crate::report::study;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 /// Arguments of `catoptra collect`.
 #[derive(Debug, clap::Args)]
@@ -27,7 +28,8 @@ const FRAMES: &str = "frames.parquet";
 const RUNS: &str = "runs.parquet";
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
-    interrupt::end_at_once()?;
+    let asked = interrupt::watch()?;
+    let go_on = || if asked.load(Ordering::Relaxed) { Err(StudyError::Interrupted) } else { Ok(()) };
     // 1. everything is checked before anything is written
     let inputs = args.folders.iter().map(PathBuf::as_path).collect();
     let files = [FRAMES, RUNS, REPORT].map(str::to_owned).to_vec();
@@ -55,15 +57,25 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         return Err(Failure::usage(format!("{}: no run can be read: nothing is written", folders())));
     }
     study.cautions().iter().for_each(|text| tracing::warn!("{text}"));
-    // 2. the files
-    let _held = results.take()?;
+    go_on().map_err(failure)?;
+    // 2. the files: earlier ones stay until all is known
+    let held = results.hold()?;
     let mut progress = Progress::of(Some(study.runs.len() as u64), "runs", quiet);
-    let frames = study.write_frames(&args.out.join(FRAMES), || progress.one_more()).map_err(failure)?;
+    let after_run = || {
+        progress.one_more();
+        go_on()
+    };
+    let (frames, frames_table) = study.write_frames(&args.out.join(FRAMES), after_run).map_err(failure)?;
     drop(progress);
-    study.write_runs(&args.out.join(RUNS)).map_err(failure)?;
+    let runs_table = study.write_runs(&args.out.join(RUNS)).map_err(failure)?;
     let unusual = unusual_runs(&study);
     let title = args.out.file_name().map_or_else(|| "study".into(), |name| name.to_string_lossy().into_owned());
     let page = study::page(&study, &unusual, &args.out, &title, &provenance::of_this_run());
+    go_on().map_err(failure)?;
+    results.replace(&held)?;
+    for table in [frames_table, runs_table] {
+        table.put_in_place().map_err(|e| Failure::new(Exit::Failed, format!("{}: {e}", args.out.display())))?;
+    }
     output::save(&args.out.join(REPORT), &page)?;
     // 3. text
     if !quiet {
@@ -77,7 +89,11 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 }
 
 fn failure(error: StudyError) -> Failure {
-    let exit = if matches!(error, StudyError::Track { .. }) { Exit::Usage } else { Exit::Failed };
+    let exit = match error {
+        StudyError::Track { .. } => Exit::Usage,
+        StudyError::Interrupted => Exit::Interrupted,
+        _ => Exit::Failed,
+    };
     Failure::new(exit, error)
 }
 

@@ -180,9 +180,27 @@ impl Results<'_> {
     /// # Errors
     /// As [`Results::check`]; [`Exit::Failed`] when the folder cannot be written.
     pub(super) fn take(&self) -> Result<Lock, Failure> {
-        let earlier = self.earlier()?;
+        let held = self.hold()?;
+        self.replace(&held)?;
+        Ok(held)
+    }
+
+    /// Makes the folder; what an earlier run wrote stays. It is held as long as what is returned.
+    ///
+    /// # Errors
+    /// As [`Results::take`].
+    pub(super) fn hold(&self) -> Result<Lock, Failure> {
+        self.earlier()?;
         fs::create_dir_all(self.folder).map_err(|e| cannot_write(self.folder, e))?;
-        let held = Lock::take(self.folder, WRITES_RESULTS)?;
+        Lock::take(self.folder, WRITES_RESULTS)
+    }
+
+    /// Removes the files of an earlier run of the same from the folder, which is held, and says whose it is.
+    ///
+    /// # Errors
+    /// As [`Results::take`].
+    pub(super) fn replace(&self, _held: &Lock) -> Result<(), Failure> {
+        let earlier = self.earlier()?;
         let earlier = earlier.and_then(|text| toml::from_str::<Run>(&text).ok());
         // Only plain names: files elsewhere were not written here.
         let is_name = |name: &&String| Path::new(name.as_str()).file_name().is_some_and(|only| only == name.as_str());
@@ -198,8 +216,7 @@ impl Results<'_> {
         let text =
             toml::to_string(&run).map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         let path = self.folder.join(RUN);
-        atomic_file::write(&path, origin(&text).as_bytes()).map_err(|e| cannot_write(&path, e))?;
-        Ok(held)
+        atomic_file::write(&path, origin(&text).as_bytes()).map_err(|e| cannot_write(&path, e))
     }
 }
 

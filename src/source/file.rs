@@ -114,7 +114,7 @@ impl VideoFile {
             _ => {}
         }
         let mut source = Self::of_input(path, input, options, Clock::Container)?;
-        source.decoding.ends_early = ends_early;
+        source.decoding.packets.ends_early = ends_early;
         if let Some(from_ns) = options.span.from_ns.filter(|_| source.stated.is_none()) {
             source.seek(from_ns)?;
         }
@@ -136,7 +136,7 @@ impl VideoFile {
 
     /// Whether the data has times, or only pictures.
     pub(super) fn has_times(&self) -> bool {
-        !is_raw(self.decoding.input())
+        !is_raw(self.decoding.packets.input())
     }
 
     fn of_input(
@@ -146,23 +146,23 @@ impl VideoFile {
         clock: Clock,
     ) -> Result<Self, SourceError> {
         let decoding = Decoding::new(path.clone(), input, options.decoder_threads, clock)?;
-        let [rate, average] = decoding.rates.map(|rate| (rate.0, rate.1));
+        let [rate, average] = decoding.packets.rates.map(|rate| (rate.0, rate.1));
         let stated_ns = options.stated_rate.and_then(|rate| Some(rate.stamp_ns(1)? as f64));
         let declared_ns = stated_ns.or_else(|| plausible_period_ns(rate, average));
-        let origin_ns = match decoding.input().metadata().get(ORIGIN_TAG) {
+        let origin_ns = match decoding.packets.input().metadata().get(ORIGIN_TAG) {
             Some(text) => text.parse().map_err(|_| SourceError::NotAVideo {
                 path: path.clone(),
                 reason: format!("its tag {ORIGIN_TAG} is `{text}`, expected whole nanoseconds"),
             })?,
             None => 0,
         };
-        let time_base = decoding.time_base;
+        let time_base = decoding.packets.time_base;
         let tick_ns = 1e9 * f64::from(time_base.0) / f64::from(time_base.1.max(1));
         Ok(Self {
             pictures: PictureMaker::new(path.clone(), decoding.decoder().id()),
             size_px: [decoding.decoder().width(), decoding.decoder().height()],
             stamps: StampWatch::new(path.display().to_string(), declared_ns, tick_ns),
-            frame_count_hint: decoding.count_hint(options.span),
+            frame_count_hint: decoding.packets.count_hint(options.span),
             path,
             clock,
             decoding,
@@ -198,7 +198,7 @@ impl VideoFile {
             }
             let Some(first) = self.decoding.next_picture() else { continue };
             // Their places count from the first packet.
-            if self.decoding.takes_turns {
+            if self.decoding.packets.takes_turns {
                 break;
             }
             let starts_ns = first.pts().map(|ticks| self.timed(ticks)).transpose()?.map(|stamp| stamp.ns);
@@ -213,7 +213,7 @@ impl VideoFile {
 
     fn leave_out(&mut self, stamp: Timestamp) {
         self.faults.pictures_left_out += 1;
-        if self.faults.pictures_left_out == 1 && self.decoding.ends_early.is_none() {
+        if self.faults.pictures_left_out == 1 && self.decoding.packets.ends_early.is_none() {
             let fate = if self.keep_damaged { "not measured" } else { "left out" };
             tracing::warn!(
                 "{}: the picture at {} s is damaged and {fate}, as are those predicted from it; more are counted",
@@ -239,7 +239,7 @@ impl VideoFile {
             }
         };
         let stamp = self.timed(ticks)?;
-        (self.latest_pts, self.decoding.reached_ns) = (Some(ticks), Some(stamp.ns));
+        (self.latest_pts, self.decoding.packets.reached_ns) = (Some(ticks), Some(stamp.ns));
         Ok(stamp)
     }
 
@@ -253,7 +253,7 @@ impl VideoFile {
             tracing::warn!(
                 "{}: frames after {} have no presentation time; the times of their packets are taken in turn",
                 self.path.display(),
-                self.decoding.at()
+                self.decoding.packets.at()
             );
         }
     }
@@ -265,7 +265,7 @@ impl VideoFile {
             let ns = u64::try_from(ticks).ok().and_then(|number| rate.stamp_ns(number)).ok_or_else(out_of_range)?;
             return Ok(Timestamp { ns, clock: Clock::StatedRate });
         }
-        let av::Rational(numerator, denominator) = self.decoding.time_base;
+        let av::Rational(numerator, denominator) = self.decoding.packets.time_base;
         let ns = ticks_to_ns(ticks, numerator.into(), denominator.into())
             .and_then(|ns| ns.checked_add(self.origin_ns))
             .ok_or_else(out_of_range)?;
@@ -284,14 +284,14 @@ impl VideoFile {
             );
         }
         let path = self.path.clone();
-        if let Some(why) = self.decoding.ends_early.take() {
+        if let Some(why) = self.decoding.packets.ends_early.take() {
             let last_good_s = self.last_good_ns.map(seconds);
             return Err(SourceError::Truncated { path, frames: self.seq, last_good_s, why });
         }
         if self.seq > 0 {
             return Ok(None);
         }
-        if self.decoding.reached_ns.is_none() || self.span == Span::default() {
+        if self.decoding.packets.reached_ns.is_none() || self.span == Span::default() {
             return Err(SourceError::NoFrames { path });
         }
         let (from_s, to_s) = (self.span.from_ns.map(seconds), self.span.to_ns.map(seconds));
@@ -343,7 +343,7 @@ impl VideoFile {
                 continue;
             }
             if self.span.to_ns.is_some_and(|to| stamp.ns > to) {
-                self.decoding.ends_early = None;
+                self.decoding.packets.ends_early = None;
                 self.after_ns = Some(stamp.ns);
                 return self.end();
             }
@@ -364,7 +364,7 @@ impl VideoFile {
                 self.size_px = [decoded.frame.width(), decoded.frame.height()];
             }
             self.check_size(&decoded.frame, stamp)?;
-            self.arrival = self.decoding.arrival_of(decoded.frame.pts());
+            self.arrival = self.decoding.packets.arrival_of(decoded.frame.pts());
             let stated = self.decoding.stated_of(&decoded);
             let picture = self.pictures.picture_stating(decoded.frame, stated)?;
             self.layout = Some((picture.format(), picture.colour()));
@@ -424,7 +424,7 @@ impl VideoFile {
             self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.faults));
             self.leave_out(stamp);
             let Ok(picture) = Picture::missing(self.size_px, format, colour) else { continue };
-            self.arrival = self.decoding.arrival_of(Some(first));
+            self.arrival = self.decoding.packets.arrival_of(Some(first));
             return Ok(Some(self.frame(stamp, picture)));
         }
         Ok(None)

@@ -21,7 +21,7 @@ use image::DynamicImage;
 
 use super::gaps::GapCounter;
 use super::jpeg;
-use super::names::{PICTURE_ENDINGS, conversion_advice};
+use super::names::{conversion_advice, is_picture_name};
 use super::times::{FrameRate, parse_seconds_ns, seconds};
 use super::{
     Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, StreamFaults, Timestamp,
@@ -278,9 +278,8 @@ fn picture_names(folder: &Path) -> Result<Vec<String>, SourceError> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let path = entry.map_err(io)?.path();
-        let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         let Some(name) = path.file_name().and_then(|n| n.to_str()) else { continue };
-        if ending.is_some_and(|e| PICTURE_ENDINGS.contains(&e.as_str())) && !name.starts_with('.') && path.is_file() {
+        if is_picture_name(&path) && path.is_file() {
             names.push(name.to_owned());
         }
     }

@@ -28,6 +28,7 @@ mod messages;
 pub(crate) mod names;
 mod open;
 pub(crate) mod pace;
+mod packets;
 mod picture;
 mod quantisation;
 mod reads;
@@ -45,7 +46,7 @@ pub use file::{VideoFile, VideoOptions};
 pub use host::HostTime;
 pub use images::{ImageFolder, ImageTiming};
 pub use log_windows::LogWindows;
-pub(crate) use names::conversion_advice;
+pub(crate) use names::{PICTURE_ENDINGS, conversion_advice, is_picture_name};
 pub use open::{SourceOptions, open, open_to_track};
 pub(crate) use picture::LARGEST_SIDE_PX;
 pub use picture::{

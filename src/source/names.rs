@@ -7,6 +7,14 @@ use std::path::{Path, PathBuf};
 /// Extensions of files that are read as pictures.
 pub(crate) const PICTURE_ENDINGS: [&str; 9] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pnm"];
 
+/// Whether a file is read as a picture, by its name. Hidden files are not: on foreign disks macOS keeps a `._NAME`
+/// beside every file.
+pub(crate) fn is_picture_name(path: &Path) -> bool {
+    let is_hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    !is_hidden && PICTURE_ENDINGS.contains(&ending.as_str())
+}
+
 /// Extensions of pictures that are not supported.
 const OTHER_PICTURES: [&str; 16] = [
     "webp", "jp2", "j2k", "jpf", "jpx", "jpm", "heic", "heif", "avif", "jxl", "gif", "exr", "dng", "cr2", "nef", "tga",
@@ -84,6 +92,13 @@ mod tests {
         }
         assert_eq!(ChromaSiting::by_name("top_left"), Some(ChromaSiting::TopLeft));
         assert_eq!(Matrix::by_name("BT709"), None);
+    }
+
+    #[test]
+    fn pictures_are_known_by_their_names() {
+        let are = |names: [&str; 3]| names.map(|name| is_picture_name(Path::new(name)));
+        assert_eq!(are(["a/0.png", "b.TIFF", "c.d.jpg"]), [true; 3]);
+        assert_eq!(are(["a/._0.png", ".png", "times.csv"]), [false; 3]);
     }
 
     #[test]

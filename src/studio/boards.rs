@@ -10,6 +10,7 @@ use crate::calibrate::rig::expected_error::{Expected, Verdict, verdict};
 use crate::calibrate::rig::initial::BoardsPicture;
 use crate::calibrate::rig::{RigOptions, calibrate_rig};
 use crate::rig::Draft;
+use crate::source::{PICTURE_ENDINGS, is_picture_name};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -18,8 +19,6 @@ use std::path::{Path, PathBuf};
 
 /// Pictures that are taken at most.
 const MAX_PICTURES: usize = 200;
-/// Endings of pictures that can be dropped in.
-const ENDINGS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm"];
 
 fn board_of(text: &str) -> Result<Board, Refusal> {
     text.parse().map_err(Refusal::wrong)
@@ -84,7 +83,7 @@ pub(super) fn pictures(desk: &Desk, asked: &FolderAsked) -> Result<Reply, Refusa
     let mut found = Vec::new();
     for entry in std::fs::read_dir(&folder).map_err(unread)? {
         let path = entry.map_err(unread)?.path();
-        if path.is_file() && is_picture(&path) {
+        if path.is_file() && is_picture_name(&path) {
             found.push(desk.places.shown(&path));
         }
     }
@@ -92,11 +91,6 @@ pub(super) fn pictures(desk: &Desk, asked: &FolderAsked) -> Result<Reply, Refusa
     let all = found.len();
     found.truncate(MAX_PICTURES);
     Ok(Reply::Json(json!({ "folder": desk.places.shown(&folder), "pictures": found, "all": all })))
-}
-
-fn is_picture(path: &Path) -> bool {
-    let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    ENDINGS.contains(&ending.as_str())
 }
 
 #[derive(Deserialize)]
@@ -112,8 +106,8 @@ pub(super) struct Dropped {
 pub(super) fn keep(desk: &Desk, asked: &Dropped) -> Result<Reply, Refusal> {
     desk.verbs()?;
     let name = Path::new(&asked.name);
-    if name.file_name() != Some(name.as_os_str()) || !is_picture(name) {
-        let endings = ENDINGS.join(", ");
+    if name.file_name() != Some(name.as_os_str()) || !is_picture_name(name) {
+        let endings = PICTURE_ENDINGS.join(", ");
         return Err(Refusal::wrong(format!("{}: expected the name of a picture ({endings})", asked.name)));
     }
     let bytes =

@@ -75,6 +75,27 @@ fn of_a_vetoed_frame_only_its_time_is_read_from_table_and_log() {
 }
 
 #[test]
+fn vetoes_of_another_content_of_the_recording_are_set_aside() {
+    let place = Place::new();
+    let recording = place.path("day.mkv");
+    let put = |name: &str| fs::write(&recording, fs::read(sample(name)).unwrap()).unwrap();
+    let track = || ended_with(&place.track(&recording, &["--to", "0.05"]), 0);
+    put("rest.mkv");
+    track();
+    veto(&place.path("out/track.csv"), &[1]);
+    let said = track();
+    assert!(!said.contains("vetoes"), "{said}");
+    put("circle.mkv");
+    let said = track();
+    assert!(
+        said.contains("of an earlier content of this recording, now in") && said.contains("vetoes.csv.bak"),
+        "{said}"
+    );
+    assert!(!place.path("out/vetoes.csv").exists() && place.path("out/vetoes.csv.bak").exists());
+    assert_eq!(Recording::read(&place.path("out/track.csv")).unwrap().vetoed, 0);
+}
+
+#[test]
 fn validate_and_identify_leave_vetoed_frames_out_and_say_how_many() {
     let folder = tempfile::tempdir().unwrap();
     let tree = Path::new(env!("CARGO_MANIFEST_DIR"));

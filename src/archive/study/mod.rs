@@ -6,6 +6,7 @@ mod runs;
 
 use super::tables::{Cells, Table, TableError};
 use super::{FileRecord, Outcome, RunSummary, SummaryError, is_as_recorded};
+use crate::atomic_file::NewFile;
 use crate::log::schema::{LOG_FILE, TABLE_FILE, table};
 use crate::plural::plural;
 use crate::vetoes::VetoError;
@@ -70,6 +71,9 @@ pub(crate) enum StudyError {
          recording again", path.display()
     )]
     Changed { path: PathBuf },
+    /// The user, or the system, asked it to end.
+    #[error("interrupted: nothing is written, and earlier results are as they were")]
+    Interrupted,
     #[error(transparent)]
     Table(#[from] TableError),
     #[error(transparent)]
@@ -184,11 +188,11 @@ impl Study {
         manifest.iter().copied().map(|name| (named(name), cells(name))).collect()
     }
 
-    /// Writes the table of all runs, one row each.
+    /// Writes the table of all runs, one row each, beside its place.
     ///
     /// # Errors
     /// [`StudyError`].
-    pub(crate) fn write_runs(&self, place: &Path) -> Result<(), StudyError> {
+    pub(crate) fn write_runs(&self, place: &Path) -> Result<NewFile, StudyError> {
         let mut columns = own_columns(&self.runs);
         let rows: Vec<(&Run, usize)> = self.runs.iter().map(|run| (run, 1)).collect();
         let manifest_cells = self.manifest_cells(&columns, &rows);
@@ -198,12 +202,16 @@ impl Study {
         Ok(table.finish()?)
     }
 
-    /// Writes the table of all frames: the rows of every run's table, one run after another; returns their number.
-    /// Calls `after_run` after each run.
+    /// Writes the table of all frames beside its place: the rows of every run's table, one run after another; returns
+    /// their number too. Calls `after_run` after each run, and stops when it gives an error.
     ///
     /// # Errors
     /// [`StudyError`].
-    pub(crate) fn write_frames(&self, place: &Path, mut after_run: impl FnMut()) -> Result<u64, StudyError> {
+    pub(crate) fn write_frames(
+        &self,
+        place: &Path,
+        mut after_run: impl FnMut() -> Result<(), StudyError>,
+    ) -> Result<(u64, NewFile), StudyError> {
         let mut names: Vec<String> = Vec::new();
         for run in self.with_tables() {
             for name in open(run)?.1 {
@@ -218,13 +226,12 @@ impl Study {
         let mut count = 0;
         for run in self.with_tables() {
             count += add_all(run, &names, &mut frames, |frames| Ok(table.add(&frames.take(self))?))?.rows;
-            after_run();
+            after_run()?;
         }
         if frames.rows > 0 {
             table.add(&frames.take(self))?;
         }
-        table.finish()?;
-        Ok(count)
+        Ok((count, table.finish()?))
     }
 
     /// Runs with a table of frames in their folder.

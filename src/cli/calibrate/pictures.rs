@@ -14,9 +14,6 @@ use std::fmt::{Display, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Extensions of pictures in a folder.
-const ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pbm", "pnm"];
-
 /// Corners off by more than this, pixels, and this many σ, are astray.
 const OUTLIER: (f64, f64) = (1.5, 8.0);
 
@@ -183,15 +180,15 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let mut files = Vec::new();
     for entry in folder.read_dir().map_err(fail)? {
         let path = entry.map_err(fail)?.path();
-        let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-        if ENDINGS.contains(&ending.as_str()) {
+        if source::is_picture_name(&path) {
             files.push(path);
         }
     }
     files.sort();
     if files.is_empty() {
         let cure = source::conversion_advice(folder).map(|cure| format!("; {cure}")).unwrap_or_default();
-        let text = format!("{}: no pictures in this folder ({}){cure}", folder.display(), ENDINGS.join(", "));
+        let text =
+            format!("{}: no pictures in this folder ({}){cure}", folder.display(), source::PICTURE_ENDINGS.join(", "));
         return Err(Failure::usage(text));
     }
     Ok(files)

@@ -10,10 +10,11 @@ use super::super::output::REPORT;
 use super::super::results::{self, Owner, RUN, whole_path};
 use super::super::{Exit, Failure};
 use super::options::Record;
-use crate::archive::{FileRecord, SUMMARY, hash};
+use crate::archive::{FileRecord, RunSummary, SUMMARY, hash};
 use crate::atomic_file;
 use crate::log::schema::{LOG_FILE, TABLE_FILE};
 use crate::tally::budget::{Contribution, together};
+use crate::vetoes;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;
@@ -167,6 +168,7 @@ impl Files {
                     self.folder.display()
                 );
             }
+            self.set_vetoes_aside(Path::new(&run.recording)).map_err(|e| cannot(&self.folder, e))?;
             for name in ALL.into_iter().filter(|name| *name != RUN) {
                 let path = self.folder.join(name);
                 match fs::remove_file(&path) {
@@ -179,6 +181,27 @@ impl Files {
         let text = results::origin(&run.to_toml()?);
         atomic_file::write(&path, text.as_bytes()).map_err(|e| cannot(&path, e))?;
         Ok(held)
+    }
+
+    /// Sets vetoes aside that were given when the recording had another content: they are of other moments.
+    fn set_vetoes_aside(&self, recording: &Path) -> io::Result<()> {
+        let file = self.folder.join(vetoes::FILE);
+        if !file.exists() {
+            return Ok(());
+        }
+        let earlier = RunSummary::read(&self.folder).ok().flatten().and_then(|summary| summary.sha256.recording);
+        let (Some(then), Ok(now)) = (earlier, hash::of_recording(recording)) else { return Ok(()) };
+        let Some(aside) = atomic_file::backup_names(&file).find(|name| !name.exists()).filter(|_| then != now) else {
+            return Ok(());
+        };
+        fs::rename(&file, &aside)?;
+        tracing::warn!(
+            "{}: of an earlier content of this recording, now in {}: its vetoes do not count; rename it if its frames \
+             and their stamps are still the same",
+            file.display(),
+            aside.display()
+        );
+        Ok(())
     }
 
     /// Partial files that a killed run left beside its own.
