@@ -23,7 +23,7 @@ pub enum LogError {
     },
     /// A log of another program.
     #[error("{}: is an MCAP file, but has no topic {}: it is not a log of this \
-        program", path.display(), Topic::Estimate.name())]
+        program, or what says so is damaged", path.display(), Topic::Estimate.name())]
     NotOurs {
         /// Which file.
         path: PathBuf,

@@ -8,6 +8,7 @@
 use super::LogError;
 use super::condition::{Condition, Damage};
 use super::heads::{self, HEAD, Head, LARGEST_CHUNK, TELLING, is_chunk, is_plausible};
+use super::schema::TOPICS_ATTACHMENT;
 use crate::catch_panic::catch_panic;
 use mcap::McapError;
 use mcap::records::{Record, op};
@@ -80,12 +81,9 @@ impl Records {
         let mut file = BufReader::with_capacity(1 << 16, file);
         let mut magic = [0; mcap::MAGIC.len()];
         let whole = file.read_exact(&mut magic);
-        if whole.is_err() || magic != mcap::MAGIC {
-            return Err(LogError::NotMcap { path: path.to_owned() });
-        }
         let mut checksum = crc32fast::Hasher::new();
         checksum.update(&magic);
-        Ok(Self {
+        let mut records = Self {
             path: path.to_owned(),
             file,
             length,
@@ -102,7 +100,24 @@ impl Records {
             unchecked: false,
             data_ended: false,
             condition: Condition::default(),
-        })
+        };
+        if whole.is_err() || magic != mcap::MAGIC && !records.is_log_all_the_same().map_err(lost)? {
+            return Err(LogError::NotMcap { path: path.to_owned() });
+        }
+        Ok(records)
+    }
+
+    /// Whether a file whose first bytes are not those of a log is one by its other bytes: records follow, or it ends as
+    /// logs do.
+    fn is_log_all_the_same(&mut self) -> io::Result<bool> {
+        let mut end = Vec::new();
+        self.seek_to(self.length.saturating_sub(mcap::MAGIC.len() as u64))?;
+        self.file.read_to_end(&mut end)?;
+        let is_log = end == mcap::MAGIC || self.records_follow()?;
+        self.seek_to(self.at)?;
+        self.damaged_without_loss(0, "the first bytes are not those of a log");
+        self.checksum = None;
+        Ok(is_log)
     }
 
     /// The next record; `None` after the last one. Schemas and channels whose first record is damaged come before the
@@ -157,12 +172,21 @@ impl Records {
     fn search_topics(&mut self) -> Result<(), LogError> {
         self.searched = true;
         let mut all = Self { searched: true, ..Self::open(&self.path)? };
-        let mut before = VecDeque::new();
-        while all.next()?.is_some() {
-            if [op::SCHEMA, op::CHANNEL].contains(&all.current.0) {
+        let (mut before, mut copied) = (VecDeque::new(), VecDeque::new());
+        while let Some(record) = all.next()? {
+            if let Record::Attachment { header, data, .. } = record
+                && header.name == TOPICS_ATTACHMENT
+            {
+                let topics = plain_records(&data).filter(|(code, _)| is_topic(*code));
+                copied.extend(topics.map(|(code, body)| (code, body.to_vec())));
+            }
+            if is_topic(all.current.0) {
                 before.push_back(std::mem::take(&mut all.current));
             }
         }
+        // Those that were found come after their copies, which are the same.
+        copied.append(&mut before);
+        let mut before = copied;
         before.push_back(std::mem::take(&mut self.current));
         before.append(&mut self.opened);
         self.opened = before;
@@ -304,16 +328,10 @@ impl Records {
         if bytes.first() != Some(&op::CHUNK) || !plain {
             return Ok(Vec::new());
         }
-        let mut rest = bytes.get(HEAD as usize + CHUNK_HEAD..).unwrap_or_default();
-        let mut records = Vec::new();
-        while let Some(([code, length @ ..], after)) = rest.split_first_chunk::<{ HEAD as usize }>() {
-            let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
-            let body = after.get(..length).filter(|body| parsed(*code, body).is_some());
-            let Some(body) = body.filter(|_| [op::SCHEMA, op::CHANNEL, op::MESSAGE].contains(code)) else { break };
-            records.push((*code, body.to_vec()));
-            rest = after.get(length..).unwrap_or_default();
-        }
-        Ok(records)
+        let records = plain_records(bytes.get(HEAD as usize + CHUNK_HEAD..).unwrap_or_default());
+        let sound = records
+            .take_while(|(code, body)| (is_topic(*code) || *code == op::MESSAGE) && parsed(*code, body).is_some());
+        Ok(sound.map(|(code, body)| (code, body.to_vec())).collect())
     }
 
     fn seek_to(&mut self, at: u64) -> io::Result<()> {
@@ -403,10 +421,15 @@ impl Records {
     }
 
     fn check_end(&mut self) -> io::Result<()> {
-        let mut magic = Vec::new();
+        const MAGIC: usize = mcap::MAGIC.len();
+        let mut end = Vec::new();
         self.seek_to(self.at)?;
-        (&mut self.file).take(mcap::MAGIC.len() as u64 + 1).read_to_end(&mut magic)?;
-        if magic != mcap::MAGIC {
+        (&mut self.file).take(2 * MAGIC as u64).read_to_end(&mut end)?;
+        let after = self.at + MAGIC as u64;
+        if end.get(MAGIC..).is_some_and(|next| next == mcap::MAGIC) {
+            let more = self.length - after;
+            self.damaged(after, format!("another log begins, and {more} bytes are not read: split the file there"));
+        } else if end != mcap::MAGIC {
             self.damaged_without_loss(self.at, "the file does not end as logs do, the messages are not damaged");
         }
         Ok(())
@@ -431,6 +454,20 @@ impl Records {
         }
         Ok(None)
     }
+}
+
+/// Codes and contents of whole records, one after another.
+pub(crate) fn plain_records(mut bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
+    std::iter::from_fn(move || {
+        let ([code, length @ ..], after) = bytes.split_first_chunk::<{ HEAD as usize }>()?;
+        let body;
+        (body, bytes) = after.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
+        Some((*code, body))
+    })
+}
+
+fn is_topic(code: u8) -> bool {
+    [op::SCHEMA, op::CHANNEL].contains(&code)
 }
 
 /// A record, unless invalid. (The library panics on an attachment that is too short for its checksum.)

@@ -59,6 +59,10 @@ pub fn repair(path: &Path) -> Result<Repaired, LogError> {
     let io = |source| LogError::Io { path: path.to_owned(), source };
     let (new, file) = NewFile::begin(path).map_err(io)?;
     let (messages, unknown) = copy(path, file, &topics, condition.lost())?;
+    if messages == 0 {
+        let reason = format!("the topics of its {unknown} messages are lost; it is left as it is");
+        return Err(LogError::Repair { path: path.to_owned(), reason });
+    }
     // Of a link, the log that it leads to is kept and replaced.
     let target = std::fs::canonicalize(path).map_err(io)?;
     let path = if path.is_symlink() { &target } else { path };

@@ -13,8 +13,9 @@
 //! Skelly and Towsley, IEEE INFOCOM 1999, doi:10.1109/INFCOM.1999.749287). In the first seconds the drift is taken as
 //! zero. An offset more than two seconds below the line (a clock that was set) begins a new fit, and so does a stamp
 //! earlier than the one before: the clock was set back, or that one was ahead and would hold the line down for minutes.
-//! One more than two seconds above it begins a new fit only if it lasts for a second: the last frames before a pause
-//! wait for what comes after it. Frames whose arrival is not their own, as of damaged packets, are mapped and teach
+//! One more than two seconds above it begins a new fit only if it lasts for a second and does not shrink: the last
+//! frames before a pause wait for what comes after it, and after an interruption those that have waited come faster than
+//! they were taken. Frames whose arrival is not their own, as of damaged packets, are mapped and teach
 //! nothing: paired with the arrival of an earlier one, they would hold the line down for minutes too.
 //!
 //! A camera that loses frames and counts only the others, in its stamps, cannot be told from a path that became slower:
@@ -77,6 +78,8 @@ const MIN_DRIFT_SPAN_NS: i64 = 10 * BIN_NS;
 const MAX_DRIFT: f64 = 500e-6;
 /// A stamp this far from the fit comes from another clock, or the clock was set.
 const STEP_NS: i64 = 2_000_000_000;
+/// Offsets that fall by more than this are those of frames that have waited.
+const FALLING_NS: i64 = 50_000_000;
 /// Frames are late if the earliest of every bin, for so many bins, is later than the line by this.
 const LATE_NS: i64 = 100_000_000;
 const LATE_BINS: usize = 5;
@@ -89,8 +92,8 @@ pub struct ClockFit {
     last: Option<HostTime>,
     /// The stamp of the frame before, by its own clock.
     last_stamp_ns: Option<i64>,
-    /// The first stamp of those that are later than the line by [`STEP_NS`].
-    far_since_ns: Option<i64>,
+    /// Stamp and offset of the first of those that are later than the line by [`STEP_NS`], all about equally.
+    far_since: Option<(i64, i64)>,
     restarts: u64,
 }
 
@@ -100,7 +103,8 @@ impl ClockFit {
         let offset = arrival_ns.saturating_sub(stamp_ns);
         let beyond = self.offset_at(stamp_ns).map_or(0, |expected| offset.saturating_sub(expected));
         let is_far = beyond > STEP_NS;
-        let since_ns = *self.far_since_ns.get_or_insert(stamp_ns);
+        let since = self.far_since.filter(|(_, first)| first.saturating_sub(offset) < FALLING_NS);
+        let (since_ns, _) = *self.far_since.insert(since.unwrap_or((stamp_ns, offset)));
         let stays_far = is_far && stamp_ns.saturating_sub(since_ns) >= BIN_NS;
         let goes_back = self.last_stamp_ns.is_some_and(|last_ns| stamp_ns < last_ns);
         let restart = goes_back || beyond < -STEP_NS || stays_far;
@@ -109,7 +113,7 @@ impl ClockFit {
             self.restarts += 1;
         }
         if restart || !is_far {
-            self.far_since_ns = None;
+            self.far_since = None;
             self.add(stamp_ns, offset);
         }
         self.last_stamp_ns = Some(stamp_ns);
@@ -296,6 +300,24 @@ mod tests {
             assert!(late_ns.abs() < 20_000_000, "frame {k}: {late_ns}");
         }
         assert_eq!(fit.restarts(), 0);
+    }
+
+    /// The stream stops for some seconds; what has waited then comes so many times as fast as it was taken.
+    #[test]
+    fn frames_that_have_waited_do_not_move_the_line() {
+        for (stop_s, fast) in [(3.5, 5.0), (4.0, 20.0), (10.0, 2.0), (6.0, 1000.0)] {
+            let mut fit = ClockFit::default();
+            let mut free_ns = 0;
+            for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(0.0, 60).enumerate() {
+                let resumed_ns = taken_ns + ((1200.0 / 60.0 + stop_s - k as f64 / 60.0) * 1e9) as i64;
+                let waited_ns = if k < 1200 { arrival_ns } else { arrival_ns.max(resumed_ns).max(free_ns) };
+                free_ns = waited_ns + (16_666_667.0 / fast) as i64;
+                let time = fit.map(stamp_ns, waited_ns);
+                let late_ns = time.stamp_ns - taken_ns;
+                assert!(late_ns.abs() < 20_000_000, "{stop_s} s, {fast} times as fast, frame {k}: {late_ns}");
+            }
+            assert_eq!(fit.restarts(), 0);
+        }
     }
 
     /// A camera stamps by count and loses three seconds, or one and a half.

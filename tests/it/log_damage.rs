@@ -245,6 +245,63 @@ fn a_damaged_first_chunk_costs_its_messages_and_no_others() {
     assert_eq!(std::fs::read_to_string(&table).unwrap().lines().count() as u64, info.frames + 1);
 }
 
+/// Of a killed log the end with the second copy of its topics is missing: there is one more near its beginning.
+#[test]
+fn a_killed_log_with_a_damaged_first_chunk_keeps_all_others() {
+    let (folder, path, bytes, whole) = written();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let mut places: Vec<_> = summary.chunk_indexes.iter().map(|c| (c.chunk_start_offset, c.chunk_length)).collect();
+    places.sort_unstable();
+    let ((first, length), (last, _)) = (places[0], places[places.len() - 1]);
+    let (first, end) = (first as usize, (first + length) as usize);
+    for hole in [first + length as usize / 2..first + length as usize / 2 + 1, first..end.min(first + 4096)] {
+        let mut damaged = bytes[..last as usize].to_vec();
+        damaged[hole].iter_mut().for_each(|byte| *byte = !*byte);
+        std::fs::write(&path, &damaged).unwrap();
+        let info = Info::read(&path).unwrap();
+        assert!(info.frames * 10 > FRAMES * 7, "{} frames", info.frames);
+        assert!(matches!(repair(&path).unwrap(), Repaired::Mended { unknown: 0, .. }));
+        let read = Recording::read(&path).unwrap();
+        assert!(read.frames.len() as u64 == info.frames && is_part_of(&read, &whole) && !read.currents.is_empty());
+        std::fs::remove_file(folder.path().join("log.mcap.bak")).unwrap();
+    }
+}
+
+#[test]
+fn a_log_whose_first_bytes_are_damaged_is_read_and_repaired() {
+    let (folder, path, bytes, whole) = written();
+    let cut = &bytes[..bytes.len() * 2 / 3];
+    for (log, zeros) in [(bytes.as_slice(), 1), (bytes.as_slice(), 200), (cut, 1)] {
+        let mut damaged = log.to_vec();
+        damaged[..zeros].fill(0);
+        std::fs::write(&path, &damaged).unwrap();
+        let info = Info::read(&path).unwrap();
+        assert!(info.condition.summary().unwrap().contains("at byte 0 the first bytes are not those"), "{info:?}");
+        ended_with(&command("repair", &path), 0);
+        let read = Recording::read(&path).unwrap();
+        assert!(read.frames.len() as u64 == info.frames && is_part_of(&read, &whole), "{zeros} zeros");
+        assert!(info.frames == FRAMES || log.len() < bytes.len(), "{zeros} zeros: {}", info.frames);
+        std::fs::remove_file(folder.path().join("log.mcap.bak")).unwrap();
+    }
+    for other in [std::fs::read(sample("rest.mkv")).unwrap(), vec![0; 4000], bytes[..6].to_vec()] {
+        std::fs::write(&path, other).unwrap();
+        ended_with(&command("repair", &path), 2);
+    }
+}
+
+#[test]
+fn a_log_behind_a_log_is_told_and_counts_as_lost() {
+    let (_folder, path, bytes, _) = written();
+    std::fs::write(&path, [bytes.as_slice(), &bytes].concat()).unwrap();
+    let info = Info::read(&path).unwrap();
+    let said = info.condition.summary().unwrap();
+    let expected = format!("another log begins, and {} bytes are not read", bytes.len());
+    assert!(info.frames == FRAMES && said.contains(&expected), "{said}");
+    assert!(matches!(repair(&path).unwrap(), Repaired::Mended { .. }));
+    let lacks = Info::read(&path).unwrap().condition.summary().unwrap();
+    assert!(lacks.contains("it lacks what was lost") && lacks.contains("another log begins"), "{lacks}");
+}
+
 /// The same log in chunks that are compressed, as other programs write them.
 fn compressed(from: &Path, to: &Path, compression: Compression) {
     let bytes = std::fs::read(from).unwrap();

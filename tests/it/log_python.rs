@@ -33,7 +33,7 @@ fn python_decodes_every_message_and_finds_the_numbers_of_the_table() {
         "\"/camera/annotations\": 200, \"/camera/calibration\": 1",
         "\"/catheter/deflection\": 200, \"/catheter/estimate\": 200",
         "\"/health\": 4, \"/scene\": 200, \"/tf\": 1",
-        "\"attachments\": [\"options.toml\", \"rig.toml\"]",
+        "\"attachments\": [\"options.toml\", \"rig.toml\", \"topics\"]",
         "\"clock\": \"container\"",
     ] {
         assert!(printed.contains(part), "{part} is not in {printed}");

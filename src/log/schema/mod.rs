@@ -37,6 +37,9 @@ pub(crate) const LOG_FILE: &str = "log.mcap";
 /// Name of the table in the folder of a run.
 pub(crate) const TABLE_FILE: &str = "track.csv";
 
+/// Name of the attached copy of schemas and channels: their records, one after another.
+pub(crate) const TOPICS_ATTACHMENT: &str = "topics";
+
 /// Name of the attached rig file.
 pub(crate) const RIG_ATTACHMENT: &str = "rig.toml";
 

@@ -9,8 +9,10 @@
 //! at 60 Hz with three markers in two views.
 
 use super::form::{FileMessage, FileTopic};
+use crate::log::records::plain_records;
+use crate::log::schema::TOPICS_ATTACHMENT;
 use crate::sink::{SinkError, same_error, settle};
-use mcap::records::{MessageHeader, Metadata};
+use mcap::records::{MessageHeader, Metadata, op};
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, McapResult, WriteOptions};
 use std::borrow::Cow;
@@ -107,18 +109,15 @@ impl LogFile {
 
     /// Adds topics; their schemas are stored in the file.
     pub(super) fn announce(&mut self, topics: &[FileTopic]) -> Result<(), SinkError> {
-        self.channels = topics.iter().map(|topic| self.announced(topic)).collect::<Result<_, _>>()?;
+        self.channels = self.with_writer(|writer| add_all(writer, topics))?;
         Ok(())
     }
 
-    fn announced(&self, topic: &FileTopic) -> Result<u16, SinkError> {
-        self.with_writer(|writer| {
-            let schema = match &topic.schema {
-                Some((name, encoding, data)) => writer.add_schema(name, encoding, data)?,
-                None => 0,
-            };
-            writer.add_channel(schema, &topic.topic, topic.encoding, &topic.metadata)
-        })
+    /// Attaches a copy of the schemas and channels of topics that will be announced. Before the end of a log they are
+    /// only in its first chunk, and without them no message can be read.
+    pub(super) fn attach_copy(&mut self, topics: &[FileTopic]) -> Result<(), SinkError> {
+        let copy = records_of(topics).map_err(|e| SinkError::io(&self.path, system_error(e)))?;
+        self.attach(TOPICS_ATTACHMENT, "application/octet-stream", &copy)
     }
 
     /// Writes a message. Call [`LogFile::flush`] by camera time.
@@ -137,14 +136,14 @@ impl LogFile {
         Ok(())
     }
 
-    /// Attaches a text file.
-    pub(super) fn attach(&mut self, name: &str, media_type: &str, text: &str) -> Result<(), SinkError> {
+    /// Attaches a file.
+    pub(super) fn attach(&mut self, name: &str, media_type: &str, content: &[u8]) -> Result<(), SinkError> {
         let attachment = Attachment {
             log_time: 1,    // the beginning of every clock; 0 is never written
             create_time: 0, // "not available", as the format's specification has it: the same run gives the same log
             name: name.to_owned(),
             media_type: media_type.to_owned(),
-            data: Cow::Borrowed(text.as_bytes()),
+            data: Cow::Borrowed(content),
         };
         self.with_writer(|writer| writer.attach(&attachment))
     }
@@ -187,6 +186,29 @@ impl LogFile {
             tracing::warn!("the thread that flushes {} ended early", self.path.display());
         }
     }
+}
+
+/// Adds topics; returns their channels.
+fn add_all<W: io::Write + io::Seek>(writer: &mut mcap::Writer<W>, topics: &[FileTopic]) -> McapResult<Vec<u16>> {
+    let mut add = |topic: &FileTopic| {
+        let schema = match &topic.schema {
+            Some((name, encoding, data)) => writer.add_schema(name, encoding, data)?,
+            None => 0,
+        };
+        writer.add_channel(schema, &topic.topic, topic.encoding, &topic.metadata)
+    };
+    topics.iter().map(&mut add).collect()
+}
+
+/// The schemas and channels of topics as records, one after another, as a log has them that announces these.
+fn records_of(topics: &[FileTopic]) -> McapResult<Vec<u8>> {
+    let mut writer = WriteOptions::new().use_chunks(false).create(io::Cursor::new(Vec::new()))?;
+    add_all(&mut writer, topics)?;
+    writer.finish()?;
+    let log = writer.into_inner().into_inner();
+    let data = plain_records(log.get(mcap::MAGIC.len()..).unwrap_or_default());
+    let topics = data.take_while(|(code, _)| *code != op::DATA_END).filter(|(code, _)| *code != op::HEADER);
+    Ok(topics.flat_map(|(code, body)| [&[code], (body.len() as u64).to_le_bytes().as_slice(), body].concat()).collect())
 }
 
 impl Drop for LogFile {

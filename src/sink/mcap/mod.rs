@@ -81,9 +81,11 @@ impl McapSink {
     ) -> Result<Self, SinkError> {
         let form = Form::new(profile, rig);
         let mut file = LogFile::create(path, form.profile())?;
-        file.attach(RIG_ATTACHMENT, "application/toml", rig_toml)?;
-        file.attach(OPTIONS_ATTACHMENT, "application/toml", options_toml)?;
-        file.announce(&form.topics())?;
+        let topics = form.topics();
+        file.attach_copy(&topics)?;
+        file.attach(RIG_ATTACHMENT, "application/toml", rig_toml.as_bytes())?;
+        file.attach(OPTIONS_ATTACHMENT, "application/toml", options_toml.as_bytes())?;
+        file.announce(&topics)?;
         file.flush()?;
         Ok(Self {
             file,

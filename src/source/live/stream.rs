@@ -94,7 +94,16 @@ impl Stream {
         if frame.picture.is_damaged() {
             return self.fit.placed(frame.stamp.ns, arrival_ns);
         }
+        let restarts = self.fit.restarts();
         let time = self.fit.map(frame.stamp.ns, arrival_ns);
+        if restarts == 0 && self.fit.restarts() > 0 {
+            tracing::warn!(
+                "{}: its clock was set, or it lost frames that it does not count: from frame {} on `host_stamp_ns`, by \
+                 which currents are matched, follows the arrivals anew; told once",
+                self.name,
+                self.seq
+            );
+        }
         if !self.late_named
             && let Some(late_ns) = self.fit.is_late()
         {

@@ -1,0 +1,98 @@
+//! What the reader of a run's numbers should know of them.
+
+use super::circle::Circle;
+use super::lag::Lag;
+use super::path::DesiredPath;
+use super::pauses::Sample;
+use super::response::spread;
+use super::timing::WEAK_CORRELATION;
+use nalgebra::Point3;
+
+/// Sizes of motion and path that differ by more than this factor are hardly in the same unit.
+const OTHER_UNIT: f64 = 20.0;
+/// More commands than this fraction without a point are noted.
+const MANY_LEFT_OUT: f64 = 0.25;
+/// Points that lie further than this fraction of the radius from their circle (RMS) are noted.
+const FAR_FROM_CIRCLE: f64 = 0.05;
+/// Distances up to this many σ of a coordinate are noise.
+const NOISE: f64 = 3.0;
+/// More frames than this fraction with the place of the one before are noted.
+const MANY_REPEATED: f64 = 0.2;
+/// Frames per period below which amplitudes suffer.
+const FEW_FRAMES: f64 = 8.0;
+
+/// What a hole in the motion means.
+pub(super) fn lacking(path: &DesiredPath, observed: &[Option<Point3<f64>>]) -> String {
+    let length = path.points.len();
+    let unseen = (0..length).filter(|k| observed.iter().skip(*k).step_by(length).all(Option::is_none)).count();
+    format!(
+        "{unseen} of the {length} commands of a period have no point in any of them: magnitude, gain and phase are \
+         those of the part that was seen, and have no σ"
+    )
+}
+
+pub(super) fn weak_correlation(lag: Option<&Lag>) -> Option<String> {
+    let weak = lag.filter(|lag| lag.correlation < WEAK_CORRELATION)?;
+    Some(format!("the motion hardly correlates with the path ({:.2}): its phase means little", weak.correlation))
+}
+
+pub(super) fn many_left_out(left_out: usize, commands: usize) -> Option<String> {
+    (left_out as f64 > MANY_LEFT_OUT * commands as f64).then(|| {
+        format!(
+            "{left_out} of {commands} commands have no point: the marker was not seen, or frames were lost, or the \
+            record ends"
+        )
+    })
+}
+
+/// Sizes that are not those of one unit.
+pub(super) fn other_unit(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> Option<String> {
+    let (observed_m, desired_m) = (spread(observed).norm(), spread(desired).norm());
+    let ratio = observed_m / desired_m;
+    let close = (OTHER_UNIT.recip()..=OTHER_UNIT).contains(&ratio);
+    (!close).then(|| {
+        format!(
+            "the motion has a size of {:.3} mm, the path one of {:.3} mm, which is hardly the same unit: both must be \
+             in mm (or the marker does not move)",
+            observed_m * 1e3,
+            desired_m * 1e3
+        )
+    })
+}
+
+/// A circle whose radius is hardly the size of the motion, by more than noise of `sd_m` in each coordinate.
+pub(super) fn far_from_circle(circle: &Circle, sd_m: Option<f64>) -> Option<String> {
+    let beyond_noise = sd_m.is_none_or(|sd_m| circle.rms_m > NOISE * sd_m);
+    (beyond_noise && circle.rms_m > FAR_FROM_CIRCLE * circle.radius_m).then(|| {
+        format!(
+            "the points lie {:.3} mm (RMS) from their circle with a radius of {:.3} mm: the motion is not a circle, \
+             and its magnitude is only that of the circle nearest to it",
+            circle.rms_m * 1e3,
+            circle.radius_m * 1e3
+        )
+    })
+}
+
+pub(super) fn lone_period(path: &DesiredPath, commands: usize) -> Option<String> {
+    (commands < 2 * path.points.len()).then(|| {
+        "fewer than two periods count, so nothing shows what does not repeat: magnitude and phase have no σ (record \
+         more periods, or leave fewer out with --skip)"
+            .to_owned()
+    })
+}
+
+/// That many frames have exactly the place of the one before.
+pub(super) fn repeated(samples: &[Sample]) -> Option<String> {
+    let same = samples.iter().zip(samples.iter().skip(1)).filter(|(one, next)| one.1 == next.1).count();
+    (same as f64 > MANY_REPEATED * samples.len() as f64).then(|| {
+        format!(
+            "{same} of {} frames have exactly the place of the one before: places are new more seldom than there are \
+             frames, which makes the motion late, or are rounded; magnitude and phase have no σ",
+            samples.len()
+        )
+    })
+}
+
+pub(super) fn few_frames(per_period: f64) -> Option<String> {
+    (per_period < FEW_FRAMES).then(|| format!("{per_period:.1} camera frames per period: too few for a good amplitude"))
+}
