@@ -216,7 +216,7 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
         found = Some((start, wanted.clone(), result));
     }
     if options.only_still {
-        let (start, parameters, result) = found.ok_or_else(|| wrong("no pause is long enough for a shape at rest"))?;
+        let (start, parameters, result) = found.ok_or_else(|| wrong(&still::no_pause(options.settle_s)))?;
         // Shapes at rest tell nothing of these.
         open.extend(moving.into_iter().map(|parameter| Open { parameter, with: Vec::new() }));
         let fit = result_of(&start, delay_s, &parameters, result, &[], (pauses, unsettled, noise, open, false));

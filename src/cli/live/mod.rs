@@ -258,12 +258,15 @@ fn verdict_of(args: &Args, rig: &Rig, live: LiveSummary) -> Result<(), Failure> 
 fn lines(summary: &LiveSummary, recorded_from_the_beginning: bool) -> String {
     let latency = summary.latency;
     let ms = |us: u64| us as f64 * 1e-3;
-    let mut text = format!(
-        "from a frame's arrival to its θ: median {:.2} ms, 99 of 100 within {:.2} ms, longest {:.2} ms\n",
-        ms(latency.p50_us),
-        ms(latency.p99_us),
-        ms(latency.max_us)
-    );
+    let mut text = String::new();
+    if summary.run.tally.frames > 0 {
+        text += &format!(
+            "from a frame's arrival to its θ: median {:.2} ms, 99 of 100 within {:.2} ms, longest {:.2} ms\n",
+            ms(latency.p50_us),
+            ms(latency.p99_us),
+            ms(latency.max_us)
+        );
+    }
     if summary.run.tally.reasons("tangent").iter().any(|(word, _)| *word == "skipped_overload")
         && matches!(summary.priority, Priority::Ordinary | Priority::WithinSession)
     {

@@ -10,10 +10,14 @@
 //! were not slowing down to a stop, are exactly where they were. A swing that turns slows down first. This too ends
 //! after [`AT_REST_S`], as a catheter can be stopped by a wall.
 //!
-//! Cannot detect: repeated pictures that were coded again while the bands were hardly moving or about to turn, a stall
-//! that begins at rest, and what repeats the first two pictures of a run.
+//! Repeated pictures that were coded again while the bands were about to turn show only when they end: bands that moved
+//! have stood still, and then jump further than any motion. Their rows are wrong by then, which is told
+//! ([`Repeats::stalled`]).
+//!
+//! Cannot detect: repeated pictures that were coded again while the bands were hardly moving, a stall that begins at
+//! rest, and what repeats the first two pictures of a run.
 
-use crate::estimate::{Estimate, Position};
+use crate::estimate::{Estimate, Miss, Position};
 use crate::source::{Picture, Timestamp, Window};
 use crate::track::judge::Place;
 use nalgebra::Vector3;
@@ -34,6 +38,9 @@ const STEADY: (f64, f64) = (0.5, 0.35);
 /// in eight or fewer, may turn between any two of them.
 const FORETOLD: f64 = 0.45;
 
+/// Pictures in a row in which the bands stand, before a jump.
+const FEWEST_STANDING: u64 = 2;
+
 /// The last picture that was measured.
 #[derive(Debug, Default)]
 pub(in crate::track) struct Repeats {
@@ -41,6 +48,23 @@ pub(in crate::track) struct Repeats {
     bands: Vec<Band>,
     /// Whether the bands have stood still since then.
     standing: bool,
+    standstill: Standstill,
+    /// Numbers of the first and the last picture of the first stall that was noticed when it ended.
+    stalled: Option<(u64, u64)>,
+}
+
+/// Bands that stand where they have moved to.
+#[derive(Debug, Default)]
+struct Standstill {
+    /// Where, and in which picture first and last.
+    places: Vec<Option<Place>>,
+    seqs: (u64, u64),
+    /// Of the last picture.
+    stamp: Option<Timestamp>,
+    /// Pictures after the first.
+    count: u64,
+    /// Whether they moved to there.
+    moved: bool,
 }
 
 #[derive(Debug)]
@@ -174,6 +198,38 @@ impl Repeats {
         self.standing
     }
 
+    /// Notices a stall that ends with this picture, by bands that stood still and now jump: implausible motion, which the
+    /// estimate has as misses.
+    pub(in crate::track) fn notice_stall(&mut self, estimate: &Estimate) {
+        let Standstill { places: stood, seqs, stamp, count, moved } = &mut self.standstill;
+        let is_recent = stamp.is_some_and(|stamp| is_recent(estimate.stamp, stamp));
+        let jumps = |miss: &Miss| matches!(miss, Miss::ImplausibleMotion { .. });
+        if estimate.markers.iter().any(|marker| marker.position.as_ref().is_err_and(jumps)) {
+            if is_recent && *moved && *count >= FEWEST_STANDING {
+                self.stalled = self.stalled.or(Some((seqs.0 + 1, seqs.1)));
+            }
+            *stamp = None;
+            return;
+        }
+        let pairs = stood.iter().zip(places(estimate));
+        let off =
+            pairs.filter_map(|(from, now)| Some(now?.is_off(from.as_ref()?, MOVED_SD))).reduce(|any, off| any || off);
+        if is_recent && off == Some(false) {
+            (seqs.1, *count) = (estimate.seq, *count + 1);
+        } else {
+            (*seqs, *count, *moved) = ((estimate.seq, estimate.seq), 0, is_recent && off == Some(true));
+            stood.clear();
+            stood.extend(places(estimate));
+        }
+        *stamp = Some(estimate.stamp);
+    }
+
+    /// What to say of pictures that probably repeated another, if there were any.
+    pub(in crate::track) fn stalled(&self) -> Option<String> {
+        let (first, last) = self.stalled?;
+        Some(format!("of frames {first} to {last} some probably repeat the one before, coded again"))
+    }
+
     /// Remembers a picture that was measured, its bands in `windows`.
     pub(in crate::track) fn remember(&mut self, picture: &Picture, windows: Vec<Window>, estimate: &Estimate) {
         self.bands.resize(estimate.markers.len(), Band::default());
@@ -299,6 +355,29 @@ mod tests {
         assert!(!is_repeated(&repeats, 0, 2) && !is_repeated(&repeats, 2, 2));
         assert!(!is_repeated(&after(1e-4), 1, 2), "at rest");
         assert!(!is_repeated(&Repeats::default(), 1, 2));
+    }
+
+    /// What is said after a course, at whose end the bands jump.
+    fn stalled(course: impl Fn(i64) -> Vector3<f64>) -> Option<String> {
+        let (mut repeats, mut random) = (Repeats::default(), Random::new(8));
+        let off = |random: &mut Random| Vector3::from_fn(|_, _| SD_M / 2.0 * random.normal());
+        for frame in 0..12 {
+            repeats.notice_stall(&estimate(frame, course(frame) + off(&mut random)));
+        }
+        let mut last = estimate(12, Vector3::zeros());
+        last.markers[1].position = Err(Miss::ImplausibleMotion { times: 3.0 });
+        repeats.notice_stall(&last);
+        repeats.stalled()
+    }
+
+    #[test]
+    fn a_stall_at_a_turning_point_is_told_when_it_ends() {
+        let swing = |frame: i64| Vector3::x() * 0.02 * (0.3 * (frame - 8) as f64).cos();
+        let said = stalled(|frame| swing(frame.min(8)));
+        assert_eq!(said.as_deref(), Some("of frames 9 to 11 some probably repeat the one before, coded again"));
+        assert_eq!(stalled(swing), None, "moving");
+        assert_eq!(stalled(|_| Vector3::zeros()), None, "at rest since the beginning");
+        assert_eq!(stalled(|frame| swing(frame.min(10))), None, "one picture alone");
     }
 
     #[test]

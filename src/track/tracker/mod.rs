@@ -41,7 +41,7 @@ use crate::track::recording::repeated_pictures::Repeats;
 use nalgebra::Vector2;
 use warnings::{
     BLENDED, COLOURS_LAG, COPIED, DENOISED, FRINGES, LAMP_CHANGED, LONG_EXPOSURE, MOVED, OTHER_TUBE, OUT_OF_FOCUS,
-    OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
+    OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, STALLED, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
 };
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
@@ -266,6 +266,7 @@ impl Tracker {
         self.diameter.add(&estimate);
         // 4. implausible motion becomes a miss
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
+        self.repeats.notice_stall(&estimate);
         // Before σ is widened: pictures that repeat scatter.
         self.repeats.remember(picture, found.windows(), &estimate);
         self.widen(&mut estimate, self.model.is_predicted(picture));
@@ -285,7 +286,7 @@ impl Tracker {
 
     /// What to warn of in the pictures so far, each once.
     pub fn warning(&mut self) -> Option<String> {
-        let diameter = self.diameter.doubt();
+        let (diameter, stalled) = (self.diameter.doubt(), self.repeats.stalled());
         let seen = [
             (self.pairs.are_alike(), PAIRED_CHROMA),
             (self.model.first_coded.is_some(), COPIED),
@@ -304,6 +305,7 @@ impl Tracker {
             (self.fringes.are_seen(), FRINGES),
             (self.exposure.is_seen(), LONG_EXPOSURE),
             (self.lamp.as_ref().is_some_and(Lamp::has_changed), LAMP_CHANGED),
+            (stalled.is_some(), STALLED),
             (diameter.is_some(), OTHER_TUBE),
         ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
@@ -311,7 +313,12 @@ impl Tracker {
         let noticed = self
             .latest
             .map_or(String::new(), |(seq, stamp)| format!("noticed at frame {seq}, {} s: ", stamp.seconds()));
-        let said = diameter.filter(|_| new == OTHER_TUBE).unwrap_or_default();
+        let said = match new {
+            OTHER_TUBE => diameter,
+            STALLED => stalled,
+            _ => None,
+        };
+        let said = said.unwrap_or_default();
         Some(noticed + &said + new)
     }
 
