@@ -23,11 +23,14 @@ pub use error::LogError;
 pub use info::{Info, TopicInfo};
 pub use repair::{Repaired, repair};
 
-/// Whether the file at `path` begins as logs do. Pipes and devices are not opened: they may wait, and what is read of
+/// Whether the file at `path` begins as logs do, or is named as they are: its first bytes may be damaged. Pipes and devices are not opened: they may wait, and what is read of
 /// them is lost.
 pub fn is_log(path: &Path) -> bool {
     if !path.is_file() {
         return false;
+    }
+    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap")) {
+        return true;
     }
     let mut begin = [0; mcap::MAGIC.len()];
     std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok() && begin == mcap::MAGIC
