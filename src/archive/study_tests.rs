@@ -45,7 +45,7 @@ fn collected(spoil: impl Fn(&str) -> String) -> (Vec<String>, u64, Vec<String>) 
     let archive = tempfile::tempdir().unwrap();
     save(archive.path(), &summary("good", "tip", "base"), &track("tip"));
     save(archive.path(), &summary("other", "tip", "base"), &spoil(&track("tip")));
-    let study = Study::find(&[archive.path().to_owned()]).unwrap();
+    let study = Study::find(&[archive.path().to_owned()], || Ok(())).unwrap();
     let (frames, _) = study.write_frames(&archive.path().join("frames.parquet"), || Ok(())).unwrap();
     let names = study.runs.iter().map(|run| run.name.clone()).collect();
     let why = study.left_out.iter().map(|error| error.to_string().rsplit_once('/').unwrap().1.to_owned());
@@ -101,7 +101,7 @@ fn a_table_with_other_numbers_than_were_hashed_leaves_its_run_out() {
         sha256: Some(hash::of_bytes(table.as_bytes())),
     }];
     save(archive.path(), &run, &table);
-    let find = || Study::find(&[archive.path().to_owned()]).unwrap();
+    let find = || Study::find(&[archive.path().to_owned()], || Ok(())).unwrap();
     assert_eq!((find().runs.len(), find().left_out.len()), (1, 0));
     save(archive.path(), &run, &table.replace("1.5", "1.6"));
     let study = find();
@@ -132,10 +132,10 @@ fn the_table_of_a_run_without_space_may_end_early() {
     full.measured.as_mut().unwrap().frames = 4;
     full.outcome = Outcome::Failed;
     save(archive.path(), &full, &track("tip"));
-    assert_eq!(Study::find(&[archive.path().to_owned()]).unwrap().runs.len(), 1);
+    assert_eq!(Study::find(&[archive.path().to_owned()], || Ok(())).unwrap().runs.len(), 1);
     full.outcome = Outcome::Tracked;
     save(archive.path(), &full, &track("tip"));
-    assert_eq!(Study::find(&[archive.path().to_owned()]).unwrap().left_out.len(), 1);
+    assert_eq!(Study::find(&[archive.path().to_owned()], || Ok(())).unwrap().left_out.len(), 1);
 }
 
 #[test]
@@ -157,7 +157,7 @@ fn runs_are_found_deep_down_behind_links_and_below_other_runs_and_what_is_too_de
     symlink(archive.path().join("disk/linked"), archive.path().join("all/link to run")).unwrap();
     symlink(archive.path().join("all"), archive.path().join("all/site/circle")).unwrap();
     symlink(archive.path().join("nowhere"), archive.path().join("all/broken")).unwrap();
-    let study = Study::find(&[archive.path().join("all")]).unwrap();
+    let study = Study::find(&[archive.path().join("all")], || Ok(())).unwrap();
     let mut names: Vec<&str> = study.runs.iter().map(|run| run.name.as_str()).collect();
     names.sort_unstable();
     assert_eq!(names, ["deep", "inner", "linked", "outer"]);
@@ -169,7 +169,7 @@ fn every_row_tells_its_frame_of_reference_and_rigs_have_their_own_markers() {
     let archive = tempfile::tempdir().unwrap();
     save(archive.path(), &summary("a", "tip", "base"), &track("tip"));
     save(archive.path(), &summary("b", "ring", "base"), &track("ring"));
-    let find = || Study::find(&[archive.path().to_owned()]).unwrap();
+    let find = || Study::find(&[archive.path().to_owned()], || Ok(())).unwrap();
     let of_frames = |study: &Study| study.cautions().into_iter().find(|said| said.contains("frames of reference"));
     assert_eq!(of_frames(&find()), None);
     save(archive.path(), &summary("c", "tip", "camera"), &track("tip"));
@@ -193,7 +193,7 @@ fn an_interrupted_study_leaves_what_was_there() {
     save(archive.path(), &summary("b", "tip", "base"), &track("tip"));
     let table = place.path().join("frames.parquet");
     fs::write(&table, "earlier").unwrap();
-    let study = Study::find(&[archive.path().to_owned()]).unwrap();
+    let study = Study::find(&[archive.path().to_owned()], || Ok(())).unwrap();
     let mut runs = 0;
     let after_run = || {
         runs += 1;
@@ -214,7 +214,7 @@ fn copies_other_builds_and_tables_elsewhere_are_told() {
     let mut first = summary("a", "tip", "base");
     first.sha256.recording = Some("r".to_owned());
     save(archive.path(), &first, &track("tip"));
-    let find = || Study::find(&[archive.path().to_owned()]).unwrap();
+    let find = || Study::find(&[archive.path().to_owned()], || Ok(())).unwrap();
     assert_eq!(find().cautions(), Vec::<String>::new());
     let copy = RunSummary { name: "b".to_owned(), ..first.clone() };
     save(archive.path(), &copy, &track("tip"));
@@ -246,7 +246,7 @@ fn copies_of_live_runs_are_known_by_their_tables() {
             run.files = vec![FileRecord { name: TABLE_FILE.to_owned(), bytes, sha256 }];
             save(archive.path(), &run, &table);
         }
-        Study::find(&[archive.path().to_owned()]).unwrap().cautions()
+        Study::find(&[archive.path().to_owned()], || Ok(())).unwrap().cautions()
     };
     assert_eq!(said(&track("tip").replace("1.5", "1.6")), Vec::<String>::new());
     let said = said(&track("tip"));
@@ -261,7 +261,7 @@ fn a_column_of_the_manifest_never_takes_the_name_of_another() {
     run.manifest = given.map(|(name, cell)| (name.to_owned(), cell.to_owned())).into();
     save(archive.path(), &run, &track("tip"));
     let path = archive.path().join("runs.parquet");
-    Study::find(&[archive.path().to_owned()]).unwrap().write_runs(&path).unwrap().put_in_place().unwrap();
+    Study::find(&[archive.path().to_owned()], || Ok(())).unwrap().write_runs(&path).unwrap().put_in_place().unwrap();
     let reader = SerializedFileReader::new(fs::File::open(path).unwrap()).unwrap();
     let row = reader.into_iter().next().unwrap().unwrap();
     let cells: std::collections::BTreeMap<_, _> =

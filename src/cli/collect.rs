@@ -38,7 +38,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     if let Some(missing) = args.folders.iter().find(|folder| !folder.is_dir()) {
         return Err(Failure::usage(format!("{}: no such folder", missing.display())));
     }
-    let study = Study::find(&args.folders).map_err(failure)?;
+    let study = Study::find(&args.folders, go_on).map_err(failure)?;
     let folders = || args.folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ");
     if study.runs.is_empty() && study.left_out.is_empty() {
         let text = "no summary.json in it or below: give folders that `catoptra track` or `live` wrote";
@@ -72,7 +72,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let title = args.out.file_name().map_or_else(|| "study".into(), |name| name.to_string_lossy().into_owned());
     let page = study::page(&study, &unusual, &args.out, &title, &provenance::of_this_run());
     go_on().map_err(failure)?;
-    results.replace(&held)?;
+    results.claim(&held)?;
     for table in [frames_table, runs_table] {
         table.put_in_place().map_err(|e| Failure::new(Exit::Failed, format!("{}: {e}", args.out.display())))?;
     }

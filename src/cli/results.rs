@@ -181,7 +181,8 @@ impl Results<'_> {
     /// As [`Results::check`]; [`Exit::Failed`] when the folder cannot be written.
     pub(super) fn take(&self) -> Result<Lock, Failure> {
         let held = self.hold()?;
-        self.replace(&held)?;
+        self.remove_earlier(&held)?;
+        self.claim(&held)?;
         Ok(held)
     }
 
@@ -195,11 +196,7 @@ impl Results<'_> {
         Lock::take(self.folder, WRITES_RESULTS)
     }
 
-    /// Removes the files of an earlier run of the same from the folder, which is held, and says whose it is.
-    ///
-    /// # Errors
-    /// As [`Results::take`].
-    pub(super) fn replace(&self, _held: &Lock) -> Result<(), Failure> {
+    fn remove_earlier(&self, _held: &Lock) -> Result<(), Failure> {
         let earlier = self.earlier()?;
         let earlier = earlier.and_then(|text| toml::from_str::<Run>(&text).ok());
         // Only plain names: files elsewhere were not written here.
@@ -211,6 +208,14 @@ impl Results<'_> {
                 _ => {}
             }
         }
+        Ok(())
+    }
+
+    /// Says whose the folder is, which is held.
+    ///
+    /// # Errors
+    /// [`Exit::Failed`] when it cannot be written.
+    pub(super) fn claim(&self, _held: &Lock) -> Result<(), Failure> {
         let version = env!("CARGO_PKG_VERSION").to_owned();
         let run = Run { owner: self.owner(), version, files: self.files.clone() };
         let text =

@@ -23,8 +23,8 @@ pub use error::LogError;
 pub use info::{Info, TopicInfo};
 pub use repair::{Repaired, repair};
 
-/// Whether the file at `path` begins as logs do, or is named as they are: its first bytes may be damaged. Pipes and devices are not opened: they may wait, and what is read of
-/// them is lost.
+/// Whether the file at `path` begins as logs do, or is named as they are: its first bytes may be damaged. Pipes and
+/// devices are not opened: they may wait, and what is read of them is lost.
 pub fn is_log(path: &Path) -> bool {
     if !path.is_file() {
         return false;

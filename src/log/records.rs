@@ -184,9 +184,8 @@ impl Records {
                 before.push_back(std::mem::take(&mut all.current));
             }
         }
-        // Those that were found come after their copies, which are the same.
-        copied.append(&mut before);
-        let mut before = copied;
+        // The first of a number counts: copies are for those that were not found.
+        before.append(&mut copied);
         before.push_back(std::mem::take(&mut self.current));
         before.append(&mut self.opened);
         self.opened = before;

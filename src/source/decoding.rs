@@ -1,7 +1,7 @@
 //! A recording's pictures as libav decodes them: in the order of presentation, with what is known of their damage.
 //!
-//! In: the packets of a container (`packets`). Out: decoded frames, the times of packets that gave none, and what their packets
-//! state. Which of them are passed on, and when they were taken, `file` decides.
+//! In: the packets of a container (`packets`). Out: decoded frames, the times of packets that gave none, and what their
+//! packets state. Which of them are passed on, and when they were taken, `file` decides.
 
 use super::check::Verdict;
 use super::container::{MAX_REORDERED, open_decoder};

@@ -14,9 +14,9 @@
 //! zero. An offset more than two seconds below the line (a clock that was set) begins a new fit, and so does a stamp
 //! earlier than the one before: the clock was set back, or that one was ahead and would hold the line down for minutes.
 //! One more than two seconds above it begins a new fit only if it lasts for a second and does not shrink: the last
-//! frames before a pause wait for what comes after it, and after an interruption those that have waited come faster than
-//! they were taken. Frames whose arrival is not their own, as of damaged packets, are mapped and teach
-//! nothing: paired with the arrival of an earlier one, they would hold the line down for minutes too.
+//! frames before a pause wait for what comes after it, and after an interruption those that have waited come faster
+//! than they were taken. Frames whose arrival is not their own, as of damaged packets, are mapped and teach nothing:
+//! paired with the arrival of an earlier one, they would hold the line down for minutes too.
 //!
 //! A camera that loses frames and counts only the others, in its stamps, cannot be told from a path that became slower:
 //! both are late from then on, and the line stays. That is told ([`ClockFit::is_late`]).
@@ -78,7 +78,8 @@ const MIN_DRIFT_SPAN_NS: i64 = 10 * BIN_NS;
 const MAX_DRIFT: f64 = 500e-6;
 /// A stamp this far from the fit comes from another clock, or the clock was set.
 const STEP_NS: i64 = 2_000_000_000;
-/// Offsets that fall by more than this are those of frames that have waited.
+/// Offsets that fall by more than this within a second are those of frames that have waited. (What is sent at less than
+/// 1.05 times its rate falls more slowly, and begins a new fit.)
 const FALLING_NS: i64 = 50_000_000;
 /// Frames are late if the earliest of every bin, for so many bins, is later than the line by this.
 const LATE_NS: i64 = 100_000_000;

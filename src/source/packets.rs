@@ -108,7 +108,8 @@ impl Packets {
     /// # Errors
     /// When the container has none any more.
     pub(super) fn stream(&self) -> Result<av::format::stream::Stream<'_>, SourceError> {
-        best_video(&self.path, &self.input)
+        let gone = || SourceError::NoVideoStream { path: self.path.clone(), found: "no stream at all".to_owned() };
+        self.input.stream(self.stream).ok_or_else(gone)
     }
 
     /// About how many frames a span has, if the container tells.

@@ -81,9 +81,10 @@ impl Response {
         Self { plane, circle, magnitude, gain: gain(&moved, &meant), lag, lacking }
     }
 
-    /// σ of a size and of a turn, from `frames` places with independent errors of `sd_m` in each coordinate (one coordinate
-    /// of each counts, along the radius for the one and across it for the other), and from what does not repeat. `None`
-    /// with fewer than two periods, in which nothing shows what does not repeat, and where the motion has a hole.
+    /// σ of a size and of a turn, from `frames` places with independent errors of `sd_m` in each coordinate (one
+    /// coordinate of each counts, along the radius for the one and across it for the other), and from what does not
+    /// repeat. `None` with fewer than two periods, in which nothing shows what does not repeat, and where the motion
+    /// has a hole.
     pub(super) fn sd(&self, path: &DesiredPath, steps: &[Step], (sd_m, frames): (Option<f64>, usize)) -> Option<f64> {
         if self.lacking.is_some() {
             return None;

@@ -59,7 +59,8 @@ def read(path):
             topics.setdefault(channel.topic, []).append((message.sequence, message.publish_time, decoded))
             total += 1
         same("messages, against the summary", total, summary.statistics.message_count)
-        attachments = {a.name: a.data.decode() if a.name.endswith(".toml") else a.data for a in reader.iter_attachments()}
+        text = lambda a: a.data.decode() if a.name.endswith(".toml") else a.data
+        attachments = {a.name: text(a) for a in reader.iter_attachments()}
         metadata = {m.name: dict(m.metadata) for m in reader.iter_metadata()}
     return topics, attachments, metadata
 

@@ -72,7 +72,7 @@ pub(crate) enum StudyError {
     )]
     Changed { path: PathBuf },
     /// The user, or the system, asked it to end.
-    #[error("interrupted: nothing is written, and earlier results are as they were")]
+    #[error("nothing is written, and earlier results are as they were")]
     Interrupted,
     #[error(transparent)]
     Table(#[from] TableError),
@@ -82,11 +82,11 @@ pub(crate) enum StudyError {
 
 impl Study {
     /// All runs in `folders` and below them. Their tables are read completely: one that was damaged after tracking, or
-    /// not copied completely, must not pass for a shorter run.
+    /// not copied completely, must not pass for a shorter run. `go_on` is asked before each.
     ///
     /// # Errors
-    /// [`StudyError::Io`] when one of the folders cannot be read; those below it are left out.
-    pub(crate) fn find(folders: &[PathBuf]) -> Result<Self, StudyError> {
+    /// [`StudyError::Io`] when one of the folders cannot be read; those below it are left out. That of `go_on`.
+    pub(crate) fn find(folders: &[PathBuf], go_on: impl Fn() -> Result<(), StudyError>) -> Result<Self, StudyError> {
         let mut study = Self::default();
         let (mut known, mut searched) = (BTreeSet::new(), BTreeMap::new());
         for folder in folders {
@@ -96,6 +96,7 @@ impl Study {
         let is_searched = |folder: &PathBuf| folder.canonicalize().is_ok_and(|whole| searched.contains_key(&whole));
         study.too_deep.retain(|folder| !is_searched(folder));
         for run in std::mem::take(&mut study.runs) {
+            go_on()?;
             match check(&run) {
                 Ok(vetoes) => {
                     study.vetoes.extend(vetoes);

@@ -21,6 +21,8 @@ use nalgebra::{DMatrix, DVector};
 
 /// A correlation counts from so many of its standard deviations on.
 const SIGNIFICANT: f64 = 2.0;
+/// Errors differ in size if by so many standard deviations more than by chance.
+const CLEARLY: f64 = 4.0;
 /// Longest lag, as a part of the longest run.
 const LONGEST_LAG: f64 = 0.25;
 
@@ -55,8 +57,11 @@ pub(super) fn widening(found: &Found, covariance: &DMatrix<f64>, series: &[Serie
     let of_parameter = |weight: DVector<f64>| {
         let lags = correlation.iter().zip(1..);
         let pairs: f64 = lags.map(|(correlation, lag)| correlation * products(&weight, series, lag).0).sum();
-        let where_told = weight.map(|w| w * w).dot(&squares) / (weight.norm_squared() * mean_square);
-        (1.0 + 2.0 * pairs / weight.norm_squared()).max(1.0) * where_told.max(1.0)
+        let alike = (1.0 + 2.0 * pairs / weight.norm_squared()).max(1.0);
+        let white = weight.map(|w| w * w);
+        let size = white.dot(&squares) / (white.sum() * mean_square);
+        let by_chance = (2.0 * alike * white.norm_squared()).sqrt() / white.sum();
+        if size > 1.0 + CLEARLY * by_chance { alike * size } else { alike }
     };
     weights.column_iter().map(|weight| of_parameter(weight.into_owned())).collect()
 }
@@ -86,8 +91,8 @@ mod tests {
     use super::*;
     use crate::testing::random::Random;
 
-    /// Variances of two parameters over those of errors of one size: the first is told by frames 0..100, the second by the
-    /// others; errors of the first frames are so many times as large.
+    /// Variances of two parameters over those of errors of one size: the first is told by frames 0..100, the second by
+    /// the others; errors of the first frames are so many times as large.
     fn widening_of(times: f64) -> Vec<f64> {
         const FRAMES: usize = 1000;
         let mut random = Random::new(3);
@@ -104,6 +109,6 @@ mod tests {
         // Variances 9 and 1 by turns: 1.8 on the average.
         let [first, second] = widening_of(3.0)[..] else { panic!() };
         assert!((4.0..6.5).contains(&first) && second == 1.0, "{first} {second}");
-        assert!(widening_of(1.0).iter().all(|widening| *widening < 1.2));
+        assert_eq!(widening_of(1.0), [1.0, 1.0]);
     }
 }

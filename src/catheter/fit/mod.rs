@@ -42,7 +42,7 @@ use still::AtRest;
 pub use still::Pause;
 pub use wiring::Wiring;
 
-/// σ that are larger by more than this for the noise's colour are told with that.
+/// σ that are larger by more than this, because residuals are alike or of different size, are told with that.
 const WIDENED_REPORTED: f64 = 1.2;
 
 /// A run: what was commanded and what was seen, on one clock that begins with both.
@@ -131,19 +131,20 @@ pub struct Fit {
     pub misfit: f64,
     /// Another order or other signs of the currents, with which shapes at rest would fit.
     pub wiring: Option<Wiring>,
-    /// How much larger σ are because residuals of successive frames are alike, at most; 1 when they are not.
+    /// How much larger σ are because residuals of successive frames are alike, or larger in some frames than in others,
+    /// at most; 1 when they are not.
     pub widened: f64,
     /// Whether motion was used.
     pub in_motion: bool,
 }
 
 impl Fit {
-    /// That σ are much larger because residuals of successive frames are alike, if they are.
+    /// That σ are much larger because residuals are alike or of different size, if they are.
     pub fn widening(&self) -> Option<String> {
         (self.widened > WIDENED_REPORTED).then(|| {
             format!(
-                "residuals of successive frames are alike (slow noise, or a model that is wrong): σ are up to {:.1} \
-                 times as large as with noise that is not",
+                "residuals of successive frames are alike (slow noise, or a model that is wrong), or larger in some \
+                 frames than in others: σ are up to {:.1} times as large as otherwise",
                 self.widened
             )
         })

@@ -21,8 +21,8 @@ const UNSETTLED: (f64, f64) = (5.0, 0.5);
 /// That pauses have too few frames.
 pub(super) fn no_pause(settle_s: f64) -> String {
     format!(
-        "no pause has {} frames with coil, tip and direction after the first {settle_s} s (--settle): hold the currents \
-         longer, at more frames per second, or let them settle for less time",
+        "no pause has {} frames with coil, tip and direction after the first {settle_s} s (--settle): hold the \
+         currents longer, at more frames per second, or let them settle for less time",
         2 * MIN_FRAMES
     )
 }

@@ -190,17 +190,18 @@ impl Files {
             return Ok(());
         }
         let earlier = RunSummary::read(&self.folder).ok().flatten().and_then(|summary| summary.sha256.recording);
-        let (Some(then), Ok(now)) = (earlier, hash::of_recording(recording)) else { return Ok(()) };
-        let Some(aside) = atomic_file::backup_names(&file).find(|name| !name.exists()).filter(|_| then != now) else {
-            return Ok(());
-        };
-        fs::rename(&file, &aside)?;
-        tracing::warn!(
-            "{}: of an earlier content of this recording, now in {}: its vetoes do not count; rename it if its frames \
-             and their stamps are still the same",
-            file.display(),
-            aside.display()
-        );
+        let Some(then) = earlier else { return Ok(()) };
+        if hash::of_recording(recording).is_ok_and(|now| now != then)
+            && let Some(aside) = atomic_file::backup_names(&file).find(|name| !name.exists())
+        {
+            fs::rename(&file, &aside)?;
+            tracing::warn!(
+                "{}: of an earlier content of this recording, now in {}: its vetoes do not count; rename it if its \
+                 frames and their stamps are still the same",
+                file.display(),
+                aside.display()
+            );
+        }
         Ok(())
     }
 

@@ -37,6 +37,8 @@ pub struct Stream {
     fit: ClockFit,
     /// Whether the warning about late frames was given.
     late_named: bool,
+    /// Whether a clock that was set was told, since the stream last came back.
+    restart_named: bool,
     /// Of a stream without times.
     arrivals: Arrivals,
     stop: Arc<AtomicBool>,
@@ -82,6 +84,7 @@ impl Stream {
             clock,
             fit,
             late_named: false,
+            restart_named: false,
             arrivals,
             stop,
             seq: 0,
@@ -96,10 +99,11 @@ impl Stream {
         }
         let restarts = self.fit.restarts();
         let time = self.fit.map(frame.stamp.ns, arrival_ns);
-        if restarts == 0 && self.fit.restarts() > 0 {
+        if !self.restart_named && self.fit.restarts() > restarts {
+            self.restart_named = true;
             tracing::warn!(
-                "{}: its clock was set, or it lost frames that it does not count: from frame {} on `host_stamp_ns`, by \
-                 which currents are matched, follows the arrivals anew; told once",
+                "{}: its clock was set or began anew, or it lost frames that it does not count: from frame {} on \
+                 `host_stamp_ns`, by which currents are matched, follows the arrivals anew; told once",
                 self.name,
                 self.seq
             );
@@ -187,6 +191,7 @@ impl FrameSource for Stream {
             tracing::warn!("{}: the stream is interrupted ({reason}); waiting for it to come back", self.name);
             self.past.add(self.input.take().map(|input| input.faults()).unwrap_or_default());
             self.past.interruptions += 1;
+            self.restart_named = false;
             self.arrivals = Arrivals::new(&self.name);
         }
         Ok(None)

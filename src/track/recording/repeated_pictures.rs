@@ -63,8 +63,10 @@ struct Standstill {
     stamp: Option<Timestamp>,
     /// Pictures after the first.
     count: u64,
-    /// Whether they moved to there.
+    /// Whether they moved to there, from one picture to the next.
     moved: bool,
+    /// Whether a jump followed: the next measurement tells if they have left.
+    jumped: bool,
 }
 
 #[derive(Debug)]
@@ -198,26 +200,29 @@ impl Repeats {
         self.standing
     }
 
-    /// Notices a stall that ends with this picture, by bands that stood still and now jump: implausible motion, which the
-    /// estimate has as misses.
+    /// Notices a stall that has ended, by bands that stood still, then jumped (implausible motion, which an estimate
+    /// has as misses), and are elsewhere now.
     pub(in crate::track) fn notice_stall(&mut self, estimate: &Estimate) {
-        let Standstill { places: stood, seqs, stamp, count, moved } = &mut self.standstill;
+        let Standstill { places: stood, seqs, stamp, count, moved, jumped } = &mut self.standstill;
         let is_recent = stamp.is_some_and(|stamp| is_recent(estimate.stamp, stamp));
         let jumps = |miss: &Miss| matches!(miss, Miss::ImplausibleMotion { .. });
         if estimate.markers.iter().any(|marker| marker.position.as_ref().is_err_and(jumps)) {
-            if is_recent && *moved && *count >= FEWEST_STANDING {
-                self.stalled = self.stalled.or(Some((seqs.0 + 1, seqs.1)));
-            }
-            *stamp = None;
+            *jumped |= is_recent && *moved && *count >= FEWEST_STANDING;
             return;
         }
         let pairs = stood.iter().zip(places(estimate));
         let off =
             pairs.filter_map(|(from, now)| Some(now?.is_off(from.as_ref()?, MOVED_SD))).reduce(|any, off| any || off);
+        // A band that is back where it stood was another object for a moment.
+        if std::mem::take(jumped) && off == Some(true) {
+            self.stalled = self.stalled.or(Some((seqs.0 + 1, seqs.1)));
+        }
         if is_recent && off == Some(false) {
             (seqs.1, *count) = (estimate.seq, *count + 1);
         } else {
-            (*seqs, *count, *moved) = ((estimate.seq, estimate.seq), 0, is_recent && off == Some(true));
+            // In one step: bands that creep seem to stand between pictures.
+            let has_moved = is_recent && off == Some(true) && *count == 0;
+            (*seqs, *count, *moved) = ((estimate.seq, estimate.seq), 0, has_moved);
             stood.clear();
             stood.extend(places(estimate));
         }
@@ -357,8 +362,8 @@ mod tests {
         assert!(!is_repeated(&Repeats::default(), 1, 2));
     }
 
-    /// What is said after a course, at whose end the bands jump.
-    fn stalled(course: impl Fn(i64) -> Vector3<f64>) -> Option<String> {
+    /// What is said after a course, at whose end the bands jump and then are here.
+    fn stalled(course: impl Fn(i64) -> Vector3<f64>, then: Vector3<f64>) -> Option<String> {
         let (mut repeats, mut random) = (Repeats::default(), Random::new(8));
         let off = |random: &mut Random| Vector3::from_fn(|_, _| SD_M / 2.0 * random.normal());
         for frame in 0..12 {
@@ -367,17 +372,21 @@ mod tests {
         let mut last = estimate(12, Vector3::zeros());
         last.markers[1].position = Err(Miss::ImplausibleMotion { times: 3.0 });
         repeats.notice_stall(&last);
+        repeats.notice_stall(&estimate(13, then));
         repeats.stalled()
     }
 
     #[test]
     fn a_stall_at_a_turning_point_is_told_when_it_ends() {
         let swing = |frame: i64| Vector3::x() * 0.02 * (0.3 * (frame - 8) as f64).cos();
-        let said = stalled(|frame| swing(frame.min(8)));
+        let elsewhere = Vector3::x() * -0.01;
+        let said = stalled(|frame| swing(frame.min(8)), elsewhere);
         assert_eq!(said.as_deref(), Some("of frames 9 to 11 some probably repeat the one before, coded again"));
-        assert_eq!(stalled(swing), None, "moving");
-        assert_eq!(stalled(|_| Vector3::zeros()), None, "at rest since the beginning");
-        assert_eq!(stalled(|frame| swing(frame.min(10))), None, "one picture alone");
+        assert_eq!(stalled(swing, elsewhere), None, "moving");
+        assert_eq!(stalled(|_| Vector3::zeros(), elsewhere), None, "at rest since the beginning");
+        assert_eq!(stalled(|frame| swing(frame.min(10)), elsewhere), None, "one picture alone");
+        assert_eq!(stalled(|frame| swing(frame.min(8)), swing(8)), None, "another object for a moment");
+        assert_eq!(stalled(|frame| Vector3::x() * 1e-4 * frame as f64, elsewhere), None, "creeping");
     }
 
     #[test]

@@ -17,8 +17,8 @@ pub(super) const BLENDED: &str = "what moves is blurred by more than any exposur
      is widened by as much: record without it";
 pub(super) const DENOISED: &str = "the noise of these pictures lasts from one to the next: it was reduced over time, \
      or they are a copy of a compressed video, so weak edges of what moves are shown late; σ is widened by what is \
-     usual of a mean, up to a quarter of a pixel, and not by what a median of pictures does, which shows motion up to a \
-     whole frame late: record without noise reduction";
+     usual of a mean, up to a quarter of a pixel, and not by what a median of pictures does, which shows motion up to \
+     a whole frame late: record without noise reduction";
 pub(super) const WOVEN: &str = "even and odd rows of the pictures show different moments, although they are not marked \
      as interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
      trusted: record progressive frames";
@@ -58,6 +58,6 @@ pub(super) const LAMP_CHANGED: &str = "the lamp's two levels have changed, by th
 pub(super) const OTHER_TUBE: &str = "; measure the tube, and teach the bands with its diameter (or the tape around \
      them, or the scale of the calibration, is another)";
 /// After the numbers (repeated_pictures.rs).
-pub(super) const STALLED: &str = ": bands that moved stood there, and then jumped further than any motion: rows there are \
-     wrong, and σ does not cover that; only the first such place is named: leave these frames out, and \
+pub(super) const STALLED: &str = ": bands that moved stood there, and then jumped further than any motion: rows of \
+     such frames are wrong, and σ does not cover that; only the first such place is named: leave these frames out, and \
      look at what the camera or the recorder did";
