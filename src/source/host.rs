@@ -81,6 +81,8 @@ const STEP_NS: i64 = 2_000_000_000;
 /// Offsets that fall by more than this within a second are those of frames that have waited. (What is sent at less than
 /// 1.05 times its rate falls more slowly, and begins a new fit.)
 const FALLING_NS: i64 = 50_000_000;
+/// A frame that is no later than this after others that have waited did not wait itself.
+const CAUGHT_UP_NS: i64 = 10_000_000;
 /// Frames are late if the earliest of every bin, for so many bins, is later than the line by this.
 const LATE_NS: i64 = 100_000_000;
 const LATE_BINS: usize = 5;
@@ -93,7 +95,8 @@ pub struct ClockFit {
     last: Option<HostTime>,
     /// The stamp of the frame before, by its own clock.
     last_stamp_ns: Option<i64>,
-    /// Stamp and offset of the first of those that are later than the line by [`STEP_NS`], all about equally.
+    /// Stamp and offset of the first of those that are about equally late, since one was later than the line by
+    /// [`STEP_NS`].
     far_since: Option<(i64, i64)>,
     restarts: u64,
 }
@@ -104,18 +107,22 @@ impl ClockFit {
         let offset = arrival_ns.saturating_sub(stamp_ns);
         let beyond = self.offset_at(stamp_ns).map_or(0, |expected| offset.saturating_sub(expected));
         let is_far = beyond > STEP_NS;
+        // Until those that have waited come as the others do.
+        let is_behind = is_far || self.far_since.is_some() && beyond > CAUGHT_UP_NS;
         let since = self.far_since.filter(|(_, first)| first.saturating_sub(offset) < FALLING_NS);
-        let (since_ns, _) = *self.far_since.insert(since.unwrap_or((stamp_ns, offset)));
-        let stays_far = is_far && stamp_ns.saturating_sub(since_ns) >= BIN_NS;
+        let (since_ns, _) = since.unwrap_or((stamp_ns, offset));
+        let is_steady = stamp_ns.saturating_sub(since_ns) >= BIN_NS;
         let goes_back = self.last_stamp_ns.is_some_and(|last_ns| stamp_ns < last_ns);
-        let restart = goes_back || beyond < -STEP_NS || stays_far;
+        let restart = goes_back || beyond < -STEP_NS || is_far && is_steady;
         if restart {
             self.least.clear();
             self.restarts += 1;
         }
-        if restart || !is_far {
+        if restart || !is_behind || is_steady {
             self.far_since = None;
             self.add(stamp_ns, offset);
+        } else {
+            self.far_since = Some(since.unwrap_or((stamp_ns, offset)));
         }
         self.last_stamp_ns = Some(stamp_ns);
         self.placed(stamp_ns, arrival_ns)
@@ -306,10 +313,10 @@ mod tests {
     /// The stream stops for some seconds; what has waited then comes so many times as fast as it was taken.
     #[test]
     fn frames_that_have_waited_do_not_move_the_line() {
-        for (stop_s, fast) in [(3.5, 5.0), (4.0, 20.0), (10.0, 2.0), (6.0, 1000.0)] {
+        for (stop_s, fast) in [(3.5, 5.0), (4.0, 20.0), (10.0, 2.0), (3.0, 1.2), (6.0, 1000.0)] {
             let mut fit = ClockFit::default();
             let mut free_ns = 0;
-            for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(0.0, 60).enumerate() {
+            for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(0.0, 90).enumerate() {
                 let resumed_ns = taken_ns + ((1200.0 / 60.0 + stop_s - k as f64 / 60.0) * 1e9) as i64;
                 let waited_ns = if k < 1200 { arrival_ns } else { arrival_ns.max(resumed_ns).max(free_ns) };
                 free_ns = waited_ns + (16_666_667.0 / fast) as i64;
