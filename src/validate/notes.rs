@@ -21,16 +21,6 @@ const MANY_REPEATED: f64 = 0.2;
 /// Frames per period below which amplitudes suffer.
 const FEW_FRAMES: f64 = 8.0;
 
-/// What a hole in the motion means.
-pub(super) fn lacking(path: &DesiredPath, observed: &[Option<Point3<f64>>]) -> String {
-    let length = path.points.len();
-    let unseen = (0..length).filter(|k| observed.iter().skip(*k).step_by(length).all(Option::is_none)).count();
-    format!(
-        "{unseen} of the {length} commands of a period have no point in any of them: magnitude, gain and phase are \
-         those of the part that was seen, and have no σ"
-    )
-}
-
 pub(super) fn weak_correlation(lag: Option<&Lag>) -> Option<String> {
     let weak = lag.filter(|lag| lag.correlation < WEAK_CORRELATION)?;
     Some(format!("the motion hardly correlates with the path ({:.2}): its phase means little", weak.correlation))

@@ -3,7 +3,6 @@
 use super::circle::Circle;
 use super::lag::{Lag, lag};
 use super::mean_motion::filled;
-use super::notes;
 use super::path::DesiredPath;
 use super::pauses::Mean;
 use super::plane::Plane;
@@ -69,7 +68,7 @@ impl Response {
         let flat = |plane: Plane| seen.iter().map(|point| plane.flat(point)).collect::<Vec<_>>();
         let circle = path.circle.and(plane).and_then(|plane| Circle::through(&flat(plane)));
         let whole = filled(&path.points, &places);
-        let lacking = whole.is_none().then(|| notes::lacking(path, &places));
+        let lacking = whole.is_none().then(|| lacking(path, &places));
         // All points, where missing ones can be filled in.
         let places = whole.map_or(places, |whole| whole.into_iter().map(Some).collect());
         let numbered: Vec<(usize, Point3<f64>)> =
@@ -93,6 +92,16 @@ impl Response {
         let sd_m = unrepeated::sd_m(path, steps)?.max(independent_m);
         Some(sd_m / self.magnitude?.observed_m).filter(|sd| sd.is_finite())
     }
+}
+
+/// What a hole in the motion means.
+fn lacking(path: &DesiredPath, observed: &[Option<Point3<f64>>]) -> String {
+    let length = path.points.len();
+    let unseen = (0..length).filter(|k| observed.iter().skip(*k).step_by(length).all(Option::is_none)).count();
+    format!(
+        "{unseen} of the {length} commands of a period have no point in any of them: magnitude, gain and phase are \
+         those of the part that was seen, and have no σ"
+    )
 }
 
 /// How much later than the path the points are, with the numbers of their commands.
