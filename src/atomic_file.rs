@@ -14,6 +14,7 @@ pub(crate) fn write(place: &Path, bytes: &[u8]) -> io::Result<()> {
 
 /// A new file beside the one that it will replace; removed again unless it was [put in place](NewFile::put_in_place).
 #[derive(Debug)]
+#[must_use = "it is removed again unless it is put in place"]
 pub(crate) struct NewFile {
     beside: PathBuf,
     place: PathBuf,

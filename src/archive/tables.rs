@@ -69,7 +69,7 @@ fn column<D: DataType, T>(
     writer.close()
 }
 
-/// A table being written. It appears in its place only when [finished](Table::finish) and put there.
+/// A table being written. It appears in its place only when [finished](Table::finish).
 pub(crate) struct Table {
     place: PathBuf,
     new: NewFile,
@@ -117,11 +117,20 @@ impl Table {
         add().map_err(|source| TableError::Parquet { path: self.place.clone(), source })
     }
 
+    /// Completes the file, and puts it in place.
+    ///
+    /// # Errors
+    /// [`TableError`].
+    pub(crate) fn finish(self) -> Result<(), TableError> {
+        let path = self.place.clone();
+        self.complete()?.put_in_place().map_err(|source| TableError::Io { path, source })
+    }
+
     /// Completes the file, which is beside its place until it is put there.
     ///
     /// # Errors
     /// [`TableError`].
-    pub(crate) fn finish(self) -> Result<NewFile, TableError> {
+    pub(crate) fn complete(self) -> Result<NewFile, TableError> {
         let Self { place, new, writer } = self;
         let io = |source| TableError::Io { path: place.clone(), source };
         let buffer = writer.into_inner().map_err(|source| TableError::Parquet { path: place.clone(), source })?;
@@ -154,7 +163,7 @@ mod tests {
         table.add(&piece(0)).unwrap();
         table.add(&piece(7)).unwrap();
         assert!(!path.exists());
-        table.finish().unwrap().put_in_place().unwrap();
+        table.finish().unwrap();
         let rows: Vec<_> =
             SerializedFileReader::new(File::open(&path).unwrap()).unwrap().into_iter().map(Result::unwrap).collect();
         assert_eq!(rows.len(), 6);

@@ -200,7 +200,7 @@ impl Study {
         columns.extend(manifest_cells);
         let mut table = Table::begin(place, &columns)?;
         table.add(&columns)?;
-        Ok(table.finish()?)
+        Ok(table.complete()?)
     }
 
     /// Writes the table of all frames beside its place: the rows of every run's table, one run after another; returns
@@ -232,7 +232,7 @@ impl Study {
         if frames.rows > 0 {
             table.add(&frames.take(self))?;
         }
-        Ok((count, table.finish()?))
+        Ok((count, table.complete()?))
     }
 
     /// Runs with a table of frames in their folder.
