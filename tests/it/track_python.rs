@@ -26,7 +26,7 @@ fn python_finds_the_numbers_of_the_table_in_the_log_of_a_recording() {
         for part in [
             format!("\"frames\": {frames}"),
             format!("\"/catheter/deflection\": {frames}, \"/catheter/estimate\": {frames}"),
-            "\"attachments\": [\"options.toml\", \"rig.toml\"]".to_owned(),
+            "\"attachments\": [\"options.toml\", \"rig.toml\", \"topics\"]".to_owned(),
         ] {
             assert!(printed.contains(&part), "{part} is not in {printed}");
         }
