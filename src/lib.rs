@@ -83,6 +83,7 @@ pub(crate) mod vetoes;
 
 mod digits;
 
+mod varying_noise;
 mod whitening;
 
 pub mod optics;

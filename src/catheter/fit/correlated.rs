@@ -10,19 +10,18 @@
 //! ρ is that of all residuals together, up to the first lag at which it is not clearly above 0: errors of the model
 //! that change slowly count as well.
 //!
-//! Where errors have different sizes, Σ a(t)² e(t)² takes the place of aᵀa times their mean square (White 1980,
-//! doi:10.2307/1912934): a fast motion has larger errors, and it alone tells a delay. Smaller errors do not narrow σ.
+//! Where errors have different sizes, that widens σ as well ([`crate::varying_noise`]): a fast motion has larger errors,
+//! and it alone tells a delay.
 //!
 //! Cannot tell: errors that last as long as the runs themselves.
 
 use super::Run;
 use super::search::Found;
+use crate::varying_noise::excess_variance;
 use nalgebra::{DMatrix, DVector};
 
 /// A correlation counts from so many of its standard deviations on.
 const SIGNIFICANT: f64 = 2.0;
-/// Errors differ in size if by so many standard deviations more than by chance.
-const CLEARLY: f64 = 4.0;
 /// Longest lag, as a part of the longest run.
 const LONGEST_LAG: f64 = 0.25;
 
@@ -51,17 +50,13 @@ pub(super) fn series(runs: &[Run]) -> Vec<Series> {
 /// For each parameter, its variance over that for independent residuals.
 pub(super) fn widening(found: &Found, covariance: &DMatrix<f64>, series: &[Series]) -> Vec<f64> {
     let correlation = autocorrelation(&found.residuals, series);
-    let squares = found.residuals.map(|residual| residual.powi(2));
-    let mean_square = squares.mean();
+    let of_one_size = &found.residuals / (found.residuals.norm_squared() / found.residuals.len() as f64).sqrt();
     let weights = &found.jacobian * covariance;
     let of_parameter = |weight: DVector<f64>| {
         let lags = correlation.iter().zip(1..);
         let pairs: f64 = lags.map(|(correlation, lag)| correlation * products(&weight, series, lag).0).sum();
         let alike = (1.0 + 2.0 * pairs / weight.norm_squared()).max(1.0);
-        let white = weight.map(|w| w * w);
-        let size = white.dot(&squares) / (white.sum() * mean_square);
-        let by_chance = (2.0 * alike * white.norm_squared()).sqrt() / white.sum();
-        if size > 1.0 + CLEARLY * by_chance { alike * size } else { alike }
+        alike * excess_variance(weight.iter().copied().zip(of_one_size.iter().copied()), alike)
     };
     weights.column_iter().map(|weight| of_parameter(weight.into_owned())).collect()
 }

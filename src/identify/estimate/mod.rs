@@ -12,4 +12,3 @@ pub(crate) mod search;
 pub(super) mod shortest_delay;
 mod subspace;
 pub(crate) mod unknown_zero;
-mod varying_noise;

@@ -7,18 +7,18 @@
 //! where it is not known.
 //!
 //! Finds a local minimum. Its covariance holds for noise of any colour (`noise_colour`), also where it varies with the
-//! excitation (`varying_noise`), and for an input without noise.
+//! excitation ([`excess_variance`]), and for an input without noise.
 
 use crate::identify::IdentifyError;
 use crate::identify::data::segments::Segment;
 use crate::identify::estimate::estimated::{Estimated, Refined};
 use crate::identify::estimate::noise_colour::Colour;
 use crate::identify::estimate::unknown_zero::{self, Columns};
-use crate::identify::estimate::varying_noise;
 use crate::identify::model::covariance::Covariance;
 use crate::identify::model::polynomials::{Polynomials, all_pole};
 use crate::identify::solve::descent::Descent;
 use crate::identify::solve::regression::{Triangle, solve};
+use crate::varying_noise::excess_variance;
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
 use std::collections::BTreeMap;
 
@@ -64,11 +64,18 @@ pub(in crate::identify) fn refine(segments: &[Segment], initial: &Polynomials) -
     let colour = Colour::of(&residuals);
     let mut factor = colour.factor(&derivatives, &solution.inverse);
     let alike = colour.correlated_samples();
-    let varying = varying_noise::factors(&derivatives, &residuals, &solution.inverse, noise_variance, alike);
-    factor.row_iter_mut().zip(varying.iter()).for_each(|(mut row, by)| row *= *by);
+    let back = &solution.inverse * solution.inverse.transpose();
+    let moves: Vec<DMatrix<f64>> = derivatives.iter().map(|rows| rows * &back).collect();
+    let sd = noise_variance.sqrt();
+    for (k, mut row) in factor.row_iter_mut().enumerate() {
+        let samples = moves.iter().zip(&residuals).flat_map(|(moves, residuals)| {
+            residuals.iter().enumerate().map(move |(t, residual)| (moves[(t, k)], residual / sd))
+        });
+        row *= excess_variance(samples.filter(|(_, residual)| !residual.is_nan()), alike).sqrt();
+    }
     let estimated = Estimated {
         model,
-        covariance: Covariance::from_factor(factor * noise_variance.sqrt()),
+        covariance: Covariance::from_factor(factor * sd),
         noise_variance,
         samples,
         condition: solution.condition,
