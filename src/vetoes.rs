@@ -5,13 +5,12 @@
 //! many there were. A frame is known by its stamp: numbers count from the first frame of a run, and the same recording
 //! may be tracked again from another moment on.
 
-use crate::atomic_file;
 use crate::plural::are;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::ErrorKind;
+use std::fs::{File, OpenOptions};
+use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::time::SystemTime;
 
 /// The name of the file.
@@ -20,9 +19,6 @@ const HEADER: [&str; 5] = ["seq", "stamp_ns", "status", "comment", "written"];
 /// The word for a frame that was vetoed.
 pub(crate) const VETOED: &str = "vetoed";
 const RESTORED: &str = "restored";
-
-/// Two threads do not write at once.
-static WRITING: Mutex<()> = Mutex::new(());
 
 /// Why vetoes cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -75,6 +71,11 @@ impl Vetoes {
         file.parent().map_or_else(|| Ok(Self::default()), Self::read)
     }
 
+    /// How many frames.
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
+    }
+
     /// Why the frame with this stamp is vetoed, if it is.
     pub(crate) fn of(&self, stamp_ns: i64) -> Option<&str> {
         self.0.get(&stamp_ns).map(String::as_str)
@@ -107,29 +108,48 @@ pub(crate) fn add(
     vetoed: bool,
     comment: &str,
 ) -> Result<Vetoes, VetoError> {
-    let _alone = WRITING.lock();
-    let mut all = rows(folder)?;
-    all.push(Veto {
-        seq,
-        stamp_ns,
-        status: if vetoed { VETOED } else { RESTORED }.to_owned(),
-        comment: comment.to_owned(),
-        written: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
-    });
     let path = folder.join(FILE);
     let failed = |error: &dyn std::fmt::Display| VetoError {
         path: path.clone(),
         problem: format!("cannot be written: {error}"),
     };
+    let mut file = OpenOptions::new().append(true).create(true).open(&path).map_err(|e| failed(&e))?;
+    // Until it is closed: another thread or program waits.
+    #[cfg(unix)]
+    if let Err(error) = rustix::fs::flock(&file, rustix::fs::FlockOperation::LockExclusive) {
+        tracing::debug!("{}: cannot be locked: {error}", path.display());
+    }
+    rows(folder)?;
+    let old = std::fs::read(&path).map_err(|e| failed(&e))?;
     let mut writer =
         csv::WriterBuilder::new().has_headers(false).terminator(csv::Terminator::CRLF).from_writer(Vec::new());
-    writer.write_record(HEADER).map_err(|e| failed(&e))?;
-    for veto in &all {
-        writer.serialize(veto).map_err(|e| failed(&e))?;
+    if old.is_empty() {
+        writer.write_record(HEADER).map_err(|e| failed(&e))?;
     }
-    let bytes = writer.into_inner().map_err(|e| failed(&e))?;
-    atomic_file::write(&path, &bytes).map_err(|e| failed(&e))?;
+    let veto = Veto {
+        seq,
+        stamp_ns,
+        status: if vetoed { VETOED } else { RESTORED }.to_owned(),
+        comment: comment.to_owned(),
+        written: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+    };
+    writer.serialize(veto).map_err(|e| failed(&e))?;
+    let mut row = writer.into_inner().map_err(|e| failed(&e))?;
+    if !matches!(old.last(), None | Some(b'\n')) {
+        row.splice(0..0, *b"\r\n");
+    }
+    append(&mut file, old.len() as u64, &row).map_err(|e| failed(&e))?;
     Vetoes::read(folder)
+}
+
+/// Adds to a file of this length, or leaves it as it is.
+fn append(file: &mut File, length: u64, bytes: &[u8]) -> std::io::Result<()> {
+    let written = file.write_all(bytes).and_then(|()| file.sync_all());
+    if written.is_err() {
+        // A part of a row would make a table of none of them.
+        let _ = file.set_len(length);
+    }
+    written
 }
 
 /// All rows of the file, oldest first; none when there is no file.

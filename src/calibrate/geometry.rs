@@ -283,8 +283,7 @@ impl Projector {
     pub fn seen(&self, view: usize, place: &Point3<f64>) -> Result<Seen, NoRay> {
         let view = &self.views[view];
         let projection = view.path.project_with_jacobian(place)?;
-        let pixel = projection.pixel;
-        let normalised = view.path.lens.undistort(&pixel).ok_or(NoRay::Lens)?;
+        let normalised = projection.normalised();
         let by_lens = lens_derivatives(&view.path.lens, &normalised);
         let column = |parameter: &Parameter| {
             let i = Parameter::LENS.iter().position(|p| p == parameter);
@@ -292,11 +291,11 @@ impl Projector {
         };
         let mut d_parameters: Vec<Vector2<f64>> = self.parameters.iter().map(column).collect();
         for (i, plus, minus) in &view.moved {
-            let passes = |path: &OpticalPath| path.trace(&pixel).map(|ray| ray.at(ray.nearest(place)));
+            let passes = |path: &OpticalPath| path.trace_normalised(&normalised).map(|ray| ray.at(ray.nearest(place)));
             let shift = (passes(plus)? - passes(minus)?) / (2.0 * STEP);
             d_parameters[*i] = -(projection.d_pixel * shift);
         }
-        Ok(Seen { pixel, d_point: projection.d_pixel, d_parameters })
+        Ok(Seen { pixel: projection.pixel, d_point: projection.d_pixel, d_parameters })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Least squares with an arrow-shaped matrix: unknowns shared by all observations, and blocks of unknowns coupled only
 //! to these.
 //!
-//! In: a start, its [`Equations`], and the state after a [`Step`]. Out: the minimum of the cost, with the equations
+//! In: a start, the equations of its [`Observations`], and the state after a [`Step`]. Out: the minimum of the cost, with the equations
 //! there, whose inverse is the covariance of the shared unknowns.
 //!
 //! Minimised is Σ ρ(|r|) over all observations, r their residuals in standard deviations, ρ a square or Huber's, by
@@ -9,7 +9,7 @@
 //!
 //! Source of the method: Triggs et al., "Bundle adjustment: a modern synthesis" (2000), doi:10.1007/3-540-44480-7_21.
 
-use nalgebra::{DMatrix, DVector, DVectorView};
+use nalgebra::{DMatrix, DMatrixView, DVector};
 
 /// Beyond this many σ an observation's weight falls (Huber).
 const HUBER: f64 = 2.5;
@@ -47,10 +47,32 @@ pub(crate) struct Row<'a> {
     pub(crate) own: &'a [f64],
 }
 
+/// Observations, summed up as they are added.
+#[derive(Debug)]
+pub(crate) struct Observations {
+    shared: usize,
+    /// Of those without a block.
+    apart: Products,
+    /// Of those of each block: by the shared unknowns, its own, and the residual.
+    blocks: Vec<Products>,
+    cost: f64,
+}
+
+/// Rows at a time whose products are summed: one product of matrices is faster than as many of vectors.
+const ROWS: usize = 32;
+
+/// Sum of the products of rows with themselves.
+#[derive(Debug)]
+struct Products {
+    /// Rows that are not in it yet, one behind the other.
+    rows: Vec<f64>,
+    sum: DMatrix<f64>,
+}
+
 /// Normal equations.
 #[derive(Debug, Clone)]
 pub(crate) struct Equations {
-    /// From observations without a block: the lower triangle.
+    /// From observations without a block.
     shared: DMatrix<f64>,
     gradient: DVector<f64>,
     blocks: Vec<Block>,
@@ -59,7 +81,7 @@ pub(crate) struct Equations {
 
 #[derive(Debug, Clone)]
 struct Block {
-    /// Information of its observations about the shared unknowns, given its own: the lower triangle, and the gradient.
+    /// Information of its observations about the shared unknowns, given its own, and the gradient.
     shared: DMatrix<f64>,
     shared_gradient: DVector<f64>,
     /// Shared unknowns × its own.
@@ -78,22 +100,11 @@ pub(crate) struct Step {
     predicted_decrease: f64,
 }
 
-impl Equations {
-    /// Without observations: the number of shared unknowns, and for each block the number of its own.
+impl Observations {
+    /// None yet: the number of shared unknowns, and for each block the number of its own.
     pub(crate) fn new(shared: usize, blocks: impl IntoIterator<Item = usize>) -> Self {
-        let block = |own: usize| Block {
-            shared: DMatrix::zeros(shared, shared),
-            shared_gradient: DVector::zeros(shared),
-            coupling: DMatrix::zeros(shared, own),
-            matrix: DMatrix::zeros(own, own),
-            gradient: DVector::zeros(own),
-        };
-        Self {
-            shared: DMatrix::zeros(shared, shared),
-            gradient: DVector::zeros(shared),
-            blocks: blocks.into_iter().map(block).collect(),
-            cost: 0.0,
-        }
+        let of_unknowns = |own: usize| Products::new(shared + own + 1);
+        Self { shared, apart: of_unknowns(0), blocks: blocks.into_iter().map(of_unknowns).collect(), cost: 0.0 }
     }
 
     /// Adds an observation that depends on the shared unknowns and on no block but `block`.
@@ -101,23 +112,62 @@ impl Equations {
         let length = rows.iter().map(|row| row.residual * row.residual).sum::<f64>().sqrt();
         let (weight, cost) = loss.of(length);
         self.cost += cost;
-        let mut block = block.and_then(|block| self.blocks.get_mut(block));
+        let to = block.and_then(|block| self.blocks.get_mut(block)).unwrap_or(&mut self.apart);
         for row in rows {
-            let by_shared = DVectorView::from_slice(row.shared, row.shared.len());
-            let (matrix, gradient) = match &mut block {
-                Some(block) => (&mut block.shared, &mut block.shared_gradient),
-                None => (&mut self.shared, &mut self.gradient),
-            };
-            matrix.syger(weight, &by_shared, &by_shared, 1.0);
-            gradient.axpy(weight * row.residual, &by_shared, 1.0);
-            let Some(block) = &mut block else { continue };
-            let by_own = DVectorView::from_slice(row.own, row.own.len());
-            block.coupling.ger(weight, &by_shared, &by_own, 1.0);
-            block.matrix.ger(weight, &by_own, &by_own, 1.0);
-            block.gradient.axpy(weight * row.residual, &by_own, 1.0);
+            to.add(row.shared.iter().chain(row.own).chain([&row.residual]).map(|value| weight.sqrt() * value));
         }
     }
 
+    /// Their normal equations.
+    pub(crate) fn equations(self) -> Equations {
+        let (shared, apart) = (self.shared, self.apart.sum());
+        let block = |products: Products| {
+            let sum = products.sum();
+            let (own, last) = (sum.ncols() - 1 - shared, sum.ncols() - 1);
+            Block {
+                shared: sum.view((0, 0), (shared, shared)).into_owned(),
+                shared_gradient: sum.view((0, last), (shared, 1)).column(0).into_owned(),
+                coupling: sum.view((0, shared), (shared, own)).into_owned(),
+                matrix: sum.view((shared, shared), (own, own)).into_owned(),
+                gradient: sum.view((shared, last), (own, 1)).column(0).into_owned(),
+            }
+        };
+        Equations {
+            shared: apart.view((0, 0), (shared, shared)).into_owned(),
+            gradient: apart.view((0, shared), (shared, 1)).column(0).into_owned(),
+            blocks: self.blocks.into_iter().map(block).collect(),
+            cost: self.cost,
+        }
+    }
+}
+
+impl Products {
+    fn new(values: usize) -> Self {
+        Self { rows: Vec::with_capacity(ROWS * values), sum: DMatrix::zeros(values, values) }
+    }
+
+    fn add(&mut self, row: impl Iterator<Item = f64>) {
+        self.rows.extend(row);
+        if self.rows.len() >= ROWS * self.sum.nrows() {
+            self.sum_up();
+        }
+    }
+
+    fn sum_up(&mut self) {
+        let values = self.sum.nrows();
+        let columns = DMatrixView::from_slice(&self.rows, values, self.rows.len() / values);
+        self.sum.gemm(1.0, &columns, &columns.transpose(), 1.0);
+        self.rows.clear();
+    }
+
+    /// Of all rows.
+    fn sum(mut self) -> DMatrix<f64> {
+        self.sum_up();
+        self.sum
+    }
+}
+
+impl Equations {
     /// Information of the observations about the shared unknowns with all blocks free: the inverse of the covariance.
     /// `None` when a block is undetermined.
     pub(crate) fn information(&self) -> Option<DMatrix<f64>> {
@@ -135,7 +185,6 @@ impl Equations {
         let of_block = |block: &Block| {
             let through = &block.coupling * block.inverse(0.0)?;
             let mut information = block.shared.clone();
-            information.fill_upper_triangle_with_lower_triangle();
             information.gemm(-1.0, &through, &block.coupling.transpose(), 1.0);
             Some((information, &block.shared_gradient - through * &block.gradient))
         };
@@ -155,7 +204,6 @@ impl Equations {
     /// Matrix and gradient of the shared unknowns after eliminating all blocks, with diagonals increased by `damping`.
     fn reduced(&self, damping: f64) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let mut matrix = self.blocks.iter().fold(self.shared.clone(), |sum, block| sum + &block.shared);
-        matrix.fill_upper_triangle_with_lower_triangle();
         raise_diagonal(&mut matrix, damping);
         let mut gradient = self.gradient();
         for block in &self.blocks {
@@ -283,7 +331,7 @@ mod tests {
     }
 
     fn equations(seen: &[Vec<f64>], loss: Loss, at: &Curves) -> Equations {
-        let mut equations = Equations::new(1, (0..3).map(unknowns));
+        let mut observations = Observations::new(1, (0..3).map(unknowns));
         for (g, values) in seen.iter().enumerate() {
             for (i, value) in values.iter().enumerate() {
                 let x = i as f64 / 3.0;
@@ -291,10 +339,10 @@ mod tests {
                 let grown = (at.slope * x).exp();
                 let predicted = grown + own.iter().zip(&at.own[g]).map(|(d, v)| d * v).sum::<f64>();
                 let row = Row { residual: value - predicted, shared: &[x * grown], own };
-                equations.add(Some(g), &[row], loss);
+                observations.add(Some(g), &[row], loss);
             }
         }
-        equations
+        observations.equations()
     }
 
     fn stepped(at: &Curves, step: &Step) -> Result<Curves, Infallible> {
@@ -372,10 +420,10 @@ mod tests {
 
     #[test]
     fn what_is_left_open_is_said() {
-        let open = |_: &()| Ok::<_, Infallible>(Equations::new(1, [1]));
+        let open = |_: &()| Ok::<_, Infallible>(Observations::new(1, [1]).equations());
         let error = minimise(END, (), open, |(), _| Ok(())).unwrap_err();
         assert_eq!(error, SearchError::Singular);
-        assert!(Equations::new(2, []).covariance().is_none());
+        assert!(Observations::new(2, []).equations().covariance().is_none());
     }
 
     #[test]
@@ -387,10 +435,10 @@ mod tests {
             if *x < 0.0 {
                 return Err("no root");
             }
-            let mut equations = Equations::new(1, []);
+            let mut observations = Observations::new(1, []);
             let row = Row { residual: 0.1 - x.sqrt(), shared: &[0.5 / x.sqrt()], own: &[] };
-            equations.add(None, &[row], Loss::Squared);
-            Ok(equations)
+            observations.add(None, &[row], Loss::Squared);
+            Ok(observations.equations())
         };
         let (found, _) = minimise(END, 0.5, root, |x, step| Ok(x + step.shared[0])).unwrap();
         assert!((found - 0.01).abs() < 1e-9, "{found}");
@@ -399,9 +447,9 @@ mod tests {
     #[test]
     fn a_search_that_does_not_settle_is_given_up() {
         let walk = |x: &f64| {
-            let mut equations = Equations::new(1, []);
-            equations.add(None, &[Row { residual: (-x).exp(), shared: &[-(-x).exp()], own: &[] }], Loss::Squared);
-            Ok::<_, Infallible>(equations)
+            let mut observations = Observations::new(1, []);
+            observations.add(None, &[Row { residual: (-x).exp(), shared: &[-(-x).exp()], own: &[] }], Loss::Squared);
+            Ok::<_, Infallible>(observations.equations())
         };
         let end = End { tolerance: (0.0, 0.0), max_steps: 20 };
         let error = minimise(end, 0.0, walk, |x, step| Ok(x - step.shared[0])).unwrap_err();

@@ -4,7 +4,8 @@ use super::run::Reference;
 use super::{Exit, Failure, output};
 use crate::convert::{ConvertError, Converted, Target, convert};
 use crate::log::LogError;
-use crate::plural::plural;
+use crate::plural::{are, plural};
+use crate::vetoes::{FILE, Vetoes};
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
@@ -21,9 +22,9 @@ pub(super) struct Args {
     /// The new file; an existing one is never replaced
     #[arg(short, long, value_name = "OUT")]
     out: PathBuf,
-    /// Frame of reference of places and directions in tables
-    #[arg(long, value_enum, default_value_t = Reference::Base)]
-    frame: Reference,
+    /// Frame of reference of places and directions in tables [default: that of the run's table]
+    #[arg(long, value_enum)]
+    frame: Option<Reference>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -44,9 +45,17 @@ pub(super) fn run(args: &Args) -> Result<(), Failure> {
         Profile::Parquet => Target::Parquet,
         Profile::Mat => Target::Mat,
     };
-    let converted = convert(&args.file, target, args.frame.into(), &args.out).map_err(failure)?;
+    let vetoed = Vetoes::beside(&args.file).map_err(|e| Failure::because(Exit::Failed, e.to_string(), e))?.len();
+    let converted = convert(&args.file, target, args.frame.map(Into::into), &args.out).map_err(failure)?;
     if let Some(cut) = &converted.cut {
         tracing::warn!("{}: {cut}; the rest is converted", args.file.display());
+    }
+    if vetoed > 0 {
+        tracing::warn!(
+            "{}: {} vetoed beside it ({FILE}): in the new file they are as they were measured",
+            args.file.display(),
+            are(vetoed as u64, "frame")
+        );
     }
     output::print(&summary(&converted))
 }

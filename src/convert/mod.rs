@@ -79,24 +79,24 @@ pub(crate) enum ConvertError {
         source: io::Error,
     },
     /// A table cannot be written.
-    #[error("{0}")]
-    Table(String),
+    #[error(transparent)]
+    Table(#[from] TableError),
     /// A message cannot be written.
     #[error(transparent)]
     Message(#[from] SinkError),
 }
 
-impl From<TableError> for ConvertError {
-    fn from(error: TableError) -> Self {
-        Self::Table(error.to_string())
-    }
-}
-
-/// Converts the log at `path` to a new file `out`; positions and directions of tables are in `frame`.
+/// Converts the log at `path` to a new file `out`; positions and directions of tables are in `frame`, or in that of the
+/// run's own table.
 ///
 /// # Errors
 /// [`ConvertError`]; no file is left then.
-pub(crate) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Path) -> Result<Converted, ConvertError> {
+pub(crate) fn convert(
+    path: &Path,
+    target: Target,
+    frame: Option<OutputFrame>,
+    out: &Path,
+) -> Result<Converted, ConvertError> {
     free(out)?;
     match target {
         Target::Ros2 => ros2::convert(path, out),

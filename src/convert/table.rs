@@ -47,26 +47,41 @@ struct Layout {
     coils: Option<usize>,
 }
 
-pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Path) -> Result<Converted, ConvertError> {
+pub(super) fn convert(
+    path: &Path,
+    target: Target,
+    frame: Option<OutputFrame>,
+    out: &Path,
+) -> Result<Converted, ConvertError> {
     let options = attached(path, OPTIONS_ATTACHMENT)?.and_then(|text| text.parse::<toml::Table>().ok());
-    let mut layout = Layout { ticks: options.is_some_and(|options| options.contains_key("tick_led")), coils: None };
+    let options = options.unwrap_or_default();
+    let of_run = match options.get("frame").and_then(toml::Value::as_str) {
+        Some("camera") => OutputFrame::Camera,
+        _ => OutputFrame::Base,
+    };
+    let mut layout = Layout { ticks: options.contains_key("tick_led"), coils: None };
     // The whole log may show another layout than its beginning: then once more.
     loop {
-        match attempt(path, target, frame, out, layout)? {
-            Ok(converted) => return Ok(converted),
-            Err(found) => layout = found,
+        match attempt(path, target, frame.unwrap_or(of_run), out, layout)? {
+            Attempt::Done(converted) => return Ok(converted),
+            Attempt::Again(found) => layout = found,
         }
     }
 }
 
-/// Converts with this layout; the log's own one if it is another.
+enum Attempt {
+    Done(Converted),
+    /// The log has this layout.
+    Again(Layout),
+}
+
 fn attempt(
     path: &Path,
     target: Target,
     frame: OutputFrame,
     out: &Path,
     layout: Layout,
-) -> Result<Result<Converted, Layout>, ConvertError> {
+) -> Result<Attempt, ConvertError> {
     let kind = match target {
         Target::Parquet => FileKind::Parquet,
         Target::Mat => FileKind::Mat,
@@ -126,7 +141,7 @@ fn attempt(
     let odd: u64 = samples.iter().filter(|(coils, _)| Some(**coils) != usual).map(|(_, count)| count).sum();
     let found = Layout { ticks, coils: usual.filter(|_| odd > 0) };
     if found != layout {
-        return Ok(Err(found));
+        return Ok(Attempt::Again(found));
     }
     let Some(frames) = frames else { return Err(wrong("has no frame".to_owned())) };
     if let Some((seq, before)) = restart {
@@ -158,7 +173,7 @@ fn attempt(
         let why = unusual.as_deref().or(known).or(estimate).unwrap_or("is no table of frames");
         converted.left_out.push(left_out(&topic, messages, why));
     }
-    Ok(Ok(converted))
+    Ok(Attempt::Done(converted))
 }
 
 /// `host_ns` and one column per coil, as read by `catoptra live --currents` and `catoptra identify`.

@@ -31,7 +31,7 @@ mod writer;
 pub(crate) use currents::currents_of;
 pub use currents::{CurrentSource, Currents};
 pub use latest::{Latest, lower_priority};
-pub use pictures::{MAX_PICTURES, NewPlace, RecordTo, Recording, SwitchedRecording, free_bytes};
+pub use pictures::{MAX_PICTURES, NEARLY_FULL_BYTES, NewPlace, RecordTo, Recording, SwitchedRecording, free_bytes};
 pub use priority::Priority;
 pub use queue::MAX_WAITING;
 pub use status::{Latency, Status};

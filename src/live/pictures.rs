@@ -273,6 +273,9 @@ impl Recorder {
     }
 }
 
+/// Bytes: hardly enough for the operating system itself.
+pub const NEARLY_FULL_BYTES: u64 = 500_000_000;
+
 /// Bytes that may still be written to the disk of `folder`; `None` where the system cannot say.
 pub fn free_bytes(folder: &std::path::Path) -> Option<u64> {
     #[cfg(unix)]

@@ -17,11 +17,17 @@ pub(crate) mod typed;
 
 use std::io::Read as _;
 use std::path::Path;
+use std::time::Duration;
 
 pub use condition::{Condition, Damage};
 pub use error::LogError;
 pub use info::{Info, TopicInfo};
 pub use repair::{Repaired, repair};
+
+/// Most time between the messages of a chunk: damage costs its chunk.
+pub(crate) const CHUNK_SPAN: Duration = Duration::from_millis(500);
+/// Most bytes of a chunk. More than [`CHUNK_SPAN`] of 60 Hz tracking.
+pub(crate) const CHUNK_BYTES: u64 = 1 << 20;
 
 /// Whether the file at `path` begins as logs do, or is named as they are: its first bytes may be damaged. Pipes and
 /// devices are not opened: they may wait, and what is read of them is lost.

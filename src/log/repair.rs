@@ -1,14 +1,14 @@
 //! Repairs a damaged or unfinished log: writes all intact records into a new log with an index.
 //!
 //! Topics of other programs are kept. Damaged parts are left out and listed, also in the new log, which would seem
-//! whole otherwise; chunks are written without compression.
+//! whole otherwise. Chunks are as those of a run.
 
 use super::condition::Condition;
 use super::records::{self, LOST, REPAIR};
-use super::{LogError, is_being_written};
+use super::{CHUNK_BYTES, CHUNK_SPAN, LogError, is_being_written};
 use crate::atomic_file::{NewFile, backup_names};
 use mcap::records::{Channel, Metadata, Record};
-use mcap::{Attachment, McapError, WriteOptions, Writer};
+use mcap::{Attachment, Compression, McapError, WriteOptions};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, ErrorKind};
@@ -112,8 +112,14 @@ fn copy(from: &Path, to: File, topics: &Topics, lost: Option<String>) -> Result<
     };
     let file = BufWriter::new(to);
     let library = format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER);
-    let options = WriteOptions::new().profile(&topics.profile).library(library).compression(None);
-    let mut writer: Writer<_> = options.create(file).map_err(failed)?;
+    let mut writer = WriteOptions::new()
+        .profile(&topics.profile)
+        .library(library)
+        .compression(Some(Compression::Zstd))
+        .compression_threads(0)
+        .chunk_size(Some(CHUNK_BYTES))
+        .create(file)
+        .map_err(failed)?;
     for (id, (name, encoding, data)) in topics.schemas.iter().filter(|(id, _)| **id != 0) {
         writer.add_schema_with_id(*id, name, encoding, data).map_err(failed)?;
     }
@@ -124,7 +130,7 @@ fn copy(from: &Path, to: File, topics: &Topics, lost: Option<String>) -> Result<
             .add_channel_with_id(*id, schema, &channel.topic, &channel.message_encoding, &channel.metadata)
             .map_err(failed)?;
     }
-    let (mut messages, mut unknown) = (0, 0);
+    let (mut messages, mut unknown, mut chunk_began_ns) = (0, 0, None);
     records::each(from, |record| {
         match record {
             Record::Message { header, .. } if !topics.channels.contains_key(&header.channel_id) => {
@@ -133,6 +139,11 @@ fn copy(from: &Path, to: File, topics: &Topics, lost: Option<String>) -> Result<
             }
             Record::Message { header, data } => {
                 messages += 1;
+                let began_ns = chunk_began_ns.get_or_insert(header.log_time);
+                if u128::from(header.log_time.abs_diff(*began_ns)) >= CHUNK_SPAN.as_nanos() {
+                    *began_ns = header.log_time;
+                    writer.flush().map_err(failed)?;
+                }
                 writer.write_to_known_channel(header, data)
             }
             Record::Attachment { header, data, .. } => writer.attach(&Attachment {

@@ -46,14 +46,28 @@ pub struct Projection {
     connection: Connection,
 }
 
+impl Projection {
+    /// The pixel without the lens: a normalised image point.
+    pub fn normalised(&self) -> Point2<f64> {
+        self.connection.normalised
+    }
+}
+
 impl OpticalPath {
     /// The ray, in the medium of the marker, along which a pixel sees.
     ///
     /// # Errors
     /// [`NoRay`] when the ray is lost on the way.
     pub fn trace(&self, pixel: &Point2<f64>) -> Result<Ray, NoRay> {
-        let normalised = self.lens.undistort(pixel).ok_or(NoRay::Lens)?;
-        Ok(self.fold(&normalised)?.ray)
+        self.trace_normalised(&self.lens.undistort(pixel).ok_or(NoRay::Lens)?)
+    }
+
+    /// As [`OpticalPath::trace`], of a normalised image point.
+    ///
+    /// # Errors
+    /// [`NoRay`] when the ray is lost on the way.
+    pub(crate) fn trace_normalised(&self, normalised: &Point2<f64>) -> Result<Ray, NoRay> {
+        Ok(self.fold(normalised)?.ray)
     }
 
     /// As [`OpticalPath::trace`], with derivatives.

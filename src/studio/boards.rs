@@ -159,6 +159,9 @@ pub(super) struct Form {
     tank: Option<String>,
     mirrors_inside: bool,
     temperature: Option<f64>,
+    /// Measured distances, `NAME=DISTANCE:σ`, with spaces or commas between them.
+    #[serde(default)]
+    distances: String,
 }
 
 impl Form {
@@ -176,6 +179,8 @@ impl Form {
         settings.extend(self.glass_mm.map(|mm| ("--glass", format!("{mm}mm"))));
         settings.extend(self.tank.clone().map(|tank| ("--tank", tank)));
         settings.extend(self.temperature.map(|t| ("--temperature", t.to_string())));
+        let distances = self.distances.split([' ', ',']).filter(|distance| !distance.is_empty());
+        settings.extend(distances.map(|distance| ("--distance", distance.to_owned())));
         if self.mirrors_inside {
             settings.push(("--mirrors-inside", String::new()));
         }

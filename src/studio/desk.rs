@@ -92,29 +92,31 @@ impl Desk {
         Ok(run)
     }
 
-    /// The rate that was stated on the command line, if a recording needs one.
-    pub(super) fn stated_rate(&self, path: &Path) -> Option<FrameRate> {
-        self.start.fps.filter(|_| path.is_dir() && !path.join("times.csv").is_file())
-    }
-
     /// The recording at a path, opened when it is not.
     pub(super) fn reel(&self, text: &str) -> Result<Arc<Reel>, Refusal> {
         self.verbs()?;
-        self.reel_at(&self.places.existing(text)?)
+        self.reel_at(&self.places.existing(text)?, None)
     }
 
-    pub(super) fn reel_at(&self, path: &Path) -> Result<Arc<Reel>, Refusal> {
+    /// The same by its whole path. `rate`: the one that it was tracked with; where there is none, and it has no times,
+    /// that of the command line.
+    pub(super) fn reel_at(&self, path: &Path, rate: Option<FrameRate>) -> Result<Arc<Reel>, Refusal> {
         // Held while it is opened: two requests open it once.
         let mut reels = self.reels.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(at) = reels.iter().position(|reel| reel.path() == path) {
+        let is_asked = |reel: &Arc<Reel>| reel.path() == path && (rate.is_none() || reel.stated_rate() == rate);
+        // The one that was used last.
+        if let Some(at) = reels.iter().rposition(is_asked) {
             let reel = reels.remove(at);
             if reel.is_current() {
                 reels.push(Arc::clone(&reel));
                 return Ok(reel);
             }
         }
-        let options = SourceOptions { stated_rate: self.stated_rate(path), ..SourceOptions::default() };
-        let reel = Reel::open(path, options)?;
+        let open = |stated_rate| Reel::open(path, SourceOptions { stated_rate, ..SourceOptions::default() });
+        let reel = open(rate).or_else(|refusal| match self.start.fps {
+            Some(stated) if rate.is_none() => open(Some(stated)).map_err(|_| refusal),
+            _ => Err(refusal),
+        })?;
         if reels.len() >= MAX_REELS {
             reels.remove(0);
         }

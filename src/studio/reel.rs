@@ -3,9 +3,10 @@
 
 use super::Refusal;
 use super::places::{changed, opened};
+use crate::archive::hash;
 use crate::calibrate::markers::locate::pixels::Pixels;
 use crate::sink::ToBgr;
-use crate::source::{Frame, FrameSource, SourceOptions, Span};
+use crate::source::{Frame, FrameRate, FrameSource, SourceOptions, Span};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,7 +31,18 @@ pub(super) struct Reel {
     size_px: [u32; 2],
     hint: Option<u64>,
     index: Arc<Index>,
+    content: Arc<Mutex<Content>>,
     hand: Mutex<ReelState>,
+}
+
+/// What is known of all its bytes.
+#[derive(Debug, Default)]
+enum Content {
+    #[default]
+    NotAsked,
+    BeingRead,
+    /// SHA-256; `None` when it cannot be read.
+    Read(Option<String>),
 }
 
 /// The times of its frames.
@@ -76,7 +88,8 @@ impl Reel {
         lock(&index.state).stamps_ns.push(first.stamp.ns);
         let mut hand = ReelState { reader: Some((1, source)), ..ReelState::default() };
         hand.kept.push_back((0, Arc::new(first)));
-        let reel = Self { path: path.to_owned(), changed, options, size_px, hint, index, hand: Mutex::new(hand) };
+        let (content, hand) = (Arc::default(), Mutex::new(hand));
+        let reel = Self { path: path.to_owned(), changed, options, size_px, hint, index, content, hand };
         let (index, path) = (Arc::clone(&reel.index), path.to_owned());
         let read = move || index.fill(&path, SourceOptions { decoder_threads: 1, ..options });
         Builder::new().name("studio index".to_owned()).spawn(read).map_err(Refusal::wrong)?;
@@ -90,6 +103,28 @@ impl Reel {
 
     pub(super) fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The rate that was stated for it.
+    pub(super) fn stated_rate(&self) -> Option<FrameRate> {
+        self.options.stated_rate
+    }
+
+    /// SHA-256 of its content, inner `None` when it cannot be read. `None` as long as it is being read: it can be long.
+    pub(super) fn sha256(&self) -> Option<Option<String>> {
+        let mut content = lock(&self.content);
+        match &*content {
+            Content::Read(hash) => return Some(hash.clone()),
+            Content::BeingRead => return None,
+            Content::NotAsked => {}
+        }
+        let (known, path) = (Arc::clone(&self.content), self.path.clone());
+        let read = move || *lock(&known) = Content::Read(hash::of_recording(&path).ok());
+        *content = match Builder::new().name("studio content".to_owned()).spawn(read) {
+            Ok(_) => Content::BeingRead,
+            Err(_) => Content::Read(None),
+        };
+        None
     }
 
     pub(super) fn size_px(&self) -> [u32; 2] {

@@ -1,6 +1,7 @@
 //! A run that is over: what was measured over time, and each frame with what was found in it.
 
 use super::desk::Desk;
+use super::reel::Reel;
 use super::run::{Row, Run};
 use super::{Refusal, Reply, scene, veto};
 use crate::estimate::{Miss, plain_words};
@@ -8,6 +9,7 @@ use crate::sink::Origin;
 use crate::source::times::seconds;
 use serde::Deserialize;
 use serde_json::{Value, json};
+use std::path::Path;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -29,7 +31,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
     let mut miss = Vec::with_capacity(run.rows.len());
     for row in &run.rows {
         let known = row.theta.is_some();
-        let word = row.word(&run.markers);
+        let word = run.word(row);
         let at = (!known).then(|| {
             reasons.iter().position(|reason| *reason == word).unwrap_or_else(|| {
                 reasons.push(word);
@@ -124,7 +126,7 @@ pub(super) fn frame(desk: &Desk, asked: &FrameAsked) -> Result<Reply, Refusal> {
         "stamp_ns": row.stamp_ns.to_string(),
         "theta_deg": row.theta.map(|t| t.0.to_degrees()),
         "sd_deg": row.theta.map(|t| t.1.to_degrees()),
-        "status": plain_words(&row.word(&run.markers)),
+        "status": plain_words(&run.word(row)),
         "bands": bands,
         "recording": picture.as_ref().ok().map(|(recording, _)| recording),
         "frame": picture.as_ref().ok().map(|(_, frame)| frame),
@@ -136,14 +138,37 @@ pub(super) fn frame(desk: &Desk, asked: &FrameAsked) -> Result<Reply, Refusal> {
 
 /// The recording, and the number of the frame with this time.
 fn picture(desk: &Desk, run: &Run, stamp_ns: i64) -> Result<(String, usize), Refusal> {
+    let found = |reel: &Reel, frame: usize| (desk.places.shown(reel.path()), frame);
+    let reading = |path: &Path| Refusal { status: 503, words: format!("{} is being read", path.display()) };
+    if run.live {
+        // What a camera took is gone, but for what was recorded with the run.
+        for path in run.pictures() {
+            let reel = desk.reel_at(&path, None)?;
+            if let Some(frame) = reel.at(stamp_ns) {
+                return Ok(found(&reel, frame));
+            }
+            if !reel.indexed().done {
+                return Err(reading(&path));
+            }
+        }
+        return Err(Refusal::wrong("the picture of this frame was not recorded (catoptra live --record)"));
+    }
     let recording =
         run.recording.as_deref().ok_or_else(|| Refusal::wrong("the run does not say of which recording it is"))?;
-    let reel = desk.reel(recording)?;
-    if let Some(frame) = reel.at(stamp_ns) {
-        return Ok((desk.places.shown(reel.path()), frame));
+    let reel = desk.reel_at(&desk.places.existing(recording)?, run.stated_rate)?;
+    if let Some(tracked) = &run.recording_sha256 {
+        match reel.sha256() {
+            None => return Err(reading(reel.path())),
+            Some(now) if now.as_ref() != Some(tracked) => {
+                let changed = "has another content than when it was tracked: track it again, or bring the old one back";
+                return Err(Refusal::wrong(format!("{recording}: {changed}")));
+            }
+            Some(_) => {}
+        }
     }
-    match reel.indexed() {
-        indexed if !indexed.done => Err(Refusal { status: 503, words: format!("{recording} is being read") }),
-        _ => Err(Refusal::wrong(format!("{recording}: the picture of this frame is {}", Miss::Damaged.word(&[])))),
+    match reel.at(stamp_ns) {
+        Some(frame) => Ok(found(&reel, frame)),
+        None if !reel.indexed().done => Err(reading(reel.path())),
+        None => Err(Refusal::wrong(format!("{recording}: the picture of this frame is {}", Miss::Damaged.word(&[])))),
     }
 }

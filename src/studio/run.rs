@@ -2,12 +2,14 @@
 
 use super::Refusal;
 use super::places::changed;
+use crate::archive::RunSummary;
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{float, floats, inner, list, number, optional_number, text, whole, word, xyz};
-use crate::log::records;
 use crate::log::schema::{LOG_FILE, RIG_ATTACHMENT, TABLE_FILE, Topic};
+use crate::log::{is_being_written, records};
 use crate::rig::Rig;
 use crate::series::Recording;
+use crate::source::FrameRate;
 use mcap::records::Record;
 use nalgebra::Point3;
 use prost_reflect::DynamicMessage;
@@ -51,6 +53,14 @@ pub(super) struct Run {
     /// Paths as `run.toml` has them.
     pub(super) recording: Option<String>,
     pub(super) rig_path: Option<String>,
+    /// Whether it was tracked while the camera ran.
+    pub(super) live: bool,
+    /// The rate that was stated for its recording.
+    pub(super) stated_rate: Option<FrameRate>,
+    /// SHA-256 of the recording when it was tracked, if the run is finished.
+    pub(super) recording_sha256: Option<String>,
+    /// The log has outlines of bands.
+    outlined: bool,
     /// The rig that it was tracked with, from the log.
     pub(super) rig: Option<Rig>,
     pub(super) markers: Vec<String>,
@@ -94,14 +104,17 @@ pub(super) struct Seen {
 }
 
 impl Row {
-    /// `ok`, or the word of the reason why there is no θ: that of the marker that it depends on, where there is one.
-    pub(super) fn word(&self, markers: &[String]) -> String {
+    /// `ok`, or the word of the reason why there is no θ: that of the coil if it was not measured, else of the first
+    /// marker that was not.
+    fn word(&self, markers: &[String], coil: usize) -> String {
         if self.theta.is_some() {
             return "ok".to_owned();
         }
-        let first = self.statuses.iter().zip(markers).find(|(status, _)| *status != "ok" && !status.is_empty());
+        let all = self.statuses.iter().zip(markers).enumerate();
+        let missed = all.filter(|(_, (status, _))| *status != "ok" && !status.is_empty());
+        let first = missed.min_by_key(|(m, _)| *m != coil);
         match (self.theta_status.as_str(), first) {
-            ("" | "marker_missing", Some((status, marker))) => format!("{marker}_{status}"),
+            ("" | "marker_missing", Some((_, (status, marker)))) => format!("{marker}_{status}"),
             ("", None) => "missing".to_owned(),
             (word, _) => word.to_owned(),
         }
@@ -119,6 +132,9 @@ impl Run {
             changed: files_changed(folder),
             recording: of("recording"),
             rig_path: of("rig"),
+            live: of("command").is_some_and(|command| command == "live"),
+            stated_rate: of("fps").and_then(|fps| fps.parse().ok()),
+            recording_sha256: RunSummary::read(folder).ok().flatten().and_then(|summary| summary.sha256.recording),
             ..Self::default()
         };
         let (log, table) = (folder.join(LOG_FILE), folder.join(TABLE_FILE));
@@ -131,6 +147,17 @@ impl Run {
             return Err(Refusal::wrong(format!("{folder}: is no run: it has no {LOG_FILE} and no {TABLE_FILE}")));
         }
         Ok(run)
+    }
+
+    /// `ok`, or the word of the reason why a row has no θ.
+    pub(super) fn word(&self, row: &Row) -> String {
+        row.word(&self.markers, self.rig.as_ref().map_or(usize::MAX, |rig| rig.catheter.coil))
+    }
+
+    /// The videos of its pictures that were recorded with it.
+    pub(super) fn pictures(&self) -> impl Iterator<Item = PathBuf> {
+        let name = |n: u32| if n == 1 { "pictures.mkv".to_owned() } else { format!("pictures-{n}.mkv") };
+        (1..).map(move |n| self.folder.join(name(n))).take_while(|path| path.is_file())
     }
 
     /// Where it is.
@@ -192,7 +219,11 @@ impl Run {
             }
             Ok(())
         });
-        self.cut = condition.map_err(Refusal::wrong)?.summary();
+        let cut = condition.map_err(Refusal::wrong)?.summary();
+        self.cut = if is_being_written(path) { Some("it is still being written".to_owned()) } else { cut };
+        if !self.outlined {
+            self.note = Some("its log has no outlines of the bands, as those for ROS 2 have none".to_owned());
+        }
         Ok(())
     }
 
@@ -225,6 +256,7 @@ impl Run {
 
     /// Outlines of the bands of the last row, in its order.
     fn outlines(&mut self, message: &DynamicMessage) {
+        self.outlined = true;
         let Some(row) = self.rows.last_mut() else { return };
         let outlines = list(message, "points");
         for (seen, outline) in row.bands.iter_mut().flatten().flatten().zip(&outlines) {

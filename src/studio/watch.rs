@@ -2,7 +2,7 @@
 
 use super::{Refusal, Reply, scene, shown};
 use crate::estimate::Estimate;
-use crate::live::{Latest, RecordSwitch, lower_priority};
+use crate::live::{Latest, NEARLY_FULL_BYTES, RecordSwitch, free_bytes, lower_priority};
 use crate::rig::Rig;
 use crate::sink::ToBgr;
 use crate::source::times::seconds;
@@ -10,6 +10,7 @@ use base64::prelude::{BASE64_STANDARD, Engine as _};
 use nalgebra::Isometry3;
 use serde::Deserialize;
 use serde_json::{Value, json};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -103,6 +104,7 @@ impl Watch {
         let status = self.latest.status();
         let ms = |us: u64| us as f64 * 1e-3;
         let recording = self.record.as_ref().map(|record| record.switch.state());
+        let free = free_bytes(Path::new(&self.folder));
         Reply::Json(json!({
             "rows": rows,
             "currents": currents.iter().map(|sample| json!({
@@ -116,6 +118,8 @@ impl Watch {
                 "backlog": status.backlog, "unlogged": status.unlogged, "pictures": status.pictures,
                 "not_shown": self.latest.missed(),
                 "recording": recording,
+                "disk_gb": free.map(|bytes| bytes as f64 * 1e-9),
+                "disk_nearly_full": free.is_some_and(|bytes| bytes < NEARLY_FULL_BYTES),
                 "alarms": status.alarms.iter().map(|alarm| json!({
                     "t_s": seconds(alarm.ns), "over_s": alarm.over_ns.map(seconds),
                     "what": alarm.what, "advice": alarm.advice,

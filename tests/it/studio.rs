@@ -392,6 +392,7 @@ fn board_form(pictures: &[String]) -> Value {
     json!({
         "pictures": pictures, "board": "9x6:12mm", "rig": "camera.toml", "mirrors": 1,
         "glass_mm": 5, "tank": "254x254x267mm", "mirrors_inside": false, "temperature": null,
+        "distances": "front_wall=1265mm:5mm",
     })
 }
 

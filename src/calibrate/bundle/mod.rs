@@ -23,7 +23,7 @@ pub(crate) mod shape;
 use crate::calibrate::bundle::clusters::{Clustered, Part, alike};
 use crate::calibrate::bundle::prior::{Equation, Prior};
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
-use crate::calibrate::least_squares::{End, Equations, Loss, Row, SearchError, Step, minimise};
+use crate::calibrate::least_squares::{End, Equations, Loss, Observations, Row, SearchError, Step, minimise};
 use crate::median::upper_median;
 use crate::optics::NoRay;
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2, Vector3};
@@ -295,8 +295,9 @@ impl Bundle {
 
     fn equations(&self, at: &State, sd_px: f64, prior_weight: f64) -> Result<Equations, NoSolution> {
         let shared = self.free.len() + shape::PARAMETERS;
-        let mut equations = Equations::new(shared, at.poses.iter().map(|_| 6));
+        let mut observations = Observations::new(shared, at.poses.iter().map(|_| 6));
         let projector = Projector::new(&at.geometry, &self.free);
+        let mut by_shared = [0, 1].map(|_| Vec::with_capacity(shared));
         for corner in &self.corners {
             let sd_px = sd_px * corner.relative_sd;
             let pose = &at.poses[corner.picture];
@@ -304,16 +305,18 @@ impl Bundle {
             let seen = projector.seen(corner.view, &(pose * place)).map_err(|why| self.unseen(corner, why))?;
             let residual = (corner.pixel - seen.pixel) / sd_px;
             let by_place = seen.d_point * pose.rotation.to_rotation_matrix().into_inner();
-            let by_shape: Vec<Vector2<f64>> = at.shape.moves(&corner.place).map(|by| by_place * by).collect();
-            let by_shared = [0, 1]
-                .map(|axis| seen.d_parameters.iter().chain(&by_shape).map(|d| d[axis] / sd_px).collect::<Vec<_>>());
+            by_shared.iter_mut().for_each(Vec::clear);
+            let by_shape = at.shape.moves(&corner.place).map(|by| by_place * by);
+            for d in seen.d_parameters.into_iter().chain(by_shape) {
+                by_shared.iter_mut().zip(&d).for_each(|(row, d)| row.push(d / sd_px));
+            }
             let by_pose = [0, 1].map(|axis| {
                 let d_place = Vector3::from(seen.d_point.row(axis).transpose()) / sd_px;
                 by_pose(pose, &place, &d_place)
             });
             let row =
                 |axis: usize| Row { residual: residual[axis], shared: &by_shared[axis], own: by_pose[axis].as_slice() };
-            equations.add(Some(corner.picture), &[row(0), row(1)], Loss::Robust);
+            observations.add(Some(corner.picture), &[row(0), row(1)], Loss::Robust);
         }
         let weight = prior_weight.sqrt();
         for known in &self.known {
@@ -322,16 +325,16 @@ impl Bundle {
                 let by_pose = by_pose.map(|(picture, by_pose)| (picture, by_pose * weight));
                 let own = by_pose.as_ref().map_or(&[][..], |(_, by_pose)| by_pose.as_slice());
                 let row = Row { residual: residual * weight, shared: by_shared.as_slice(), own };
-                equations.add(by_pose.map(|(picture, _)| picture), &[row], Loss::Squared);
+                observations.add(by_pose.map(|(picture, _)| picture), &[row], Loss::Squared);
             }
         }
         for (i, (value, sd)) in at.shape.priors(at.held).enumerate() {
             let mut by_shared = DVector::zeros(shared);
             by_shared[self.free.len() + i] = weight / sd;
             let row = Row { residual: -value * weight / sd, shared: by_shared.as_slice(), own: &[] };
-            equations.add(None, &[row], Loss::Squared);
+            observations.add(None, &[row], Loss::Squared);
         }
-        Ok(equations)
+        Ok(observations.equations())
     }
 }
 

@@ -128,7 +128,8 @@ impl Found {
                 calib3d::calibrate(objects, images, size, k, d, &mut turns, &mut shifts, flags, end)?
             }
             Model::Brown | Model::Rational => {
-                let flags = if model == Model::Rational { calib3d::CALIB_RATIONAL_MODEL } else { 0 };
+                let flags =
+                    if model == Model::Rational { calib3d::CALIB_RATIONAL_MODEL } else { 0 } | calib3d::CALIB_USE_LU;
                 calib3d::calibrate_camera(objects, images, size, k, d, &mut turns, &mut shifts, flags, end)?
             }
         };

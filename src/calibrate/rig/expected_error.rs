@@ -18,7 +18,7 @@ use crate::calibrate::bundle::pose::by_pose;
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{Corner, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
-use crate::calibrate::least_squares::{Equations, Loss, Row};
+use crate::calibrate::least_squares::{Loss, Observations, Row};
 use crate::median::upper_median_and_largest;
 use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3xX, Point3, Translation3, UnitQuaternion, Vector3};
 
@@ -351,7 +351,7 @@ fn information(
     pose: &Isometry3<f64>,
     board: &[Point3<f64>],
 ) -> Option<DMatrix<f64>> {
-    let mut equations = Equations::new(solution.free.len(), [6]);
+    let mut observations = Observations::new(solution.free.len(), [6]);
     for view in 0..solution.geometry.views.len() {
         for place in board {
             let seen = projector.seen(view, &(pose * place)).ok()?;
@@ -359,12 +359,12 @@ fn information(
                 let by_geometry: Vec<f64> = seen.d_parameters.iter().map(|d| d[axis]).collect();
                 let by_pose = by_pose(pose, place, &Vector3::from(seen.d_point.row(axis).transpose()));
                 let row = Row { residual: 0.0, shared: &by_geometry, own: by_pose.as_slice() };
-                equations.add(Some(0), &[row], Loss::Squared);
+                observations.add(Some(0), &[row], Loss::Squared);
             }
         }
     }
     // Its corners' errors will be correlated like those of the others.
-    Some(equations.information()? / (solution.corner_sd_px.powi(2) * solution.design_effect))
+    Some(observations.equations().information()? / (solution.corner_sd_px.powi(2) * solution.design_effect))
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::super::progress::Line;
 use super::super::run::summary::warn_of_alarm;
-use crate::live::{Status, free_bytes};
+use crate::live::{NEARLY_FULL_BYTES, Status, free_bytes};
 use crate::log::schema::LOG_FILE;
 use crate::plural::plural;
 use std::path::{Path, PathBuf};
@@ -10,9 +10,6 @@ use std::time::Instant;
 
 /// Remaining time until the disk is full at the present rate, seconds, at each of which one warning is given.
 const WARN_AT_S: [f64; 3] = [1800.0, 300.0, 60.0];
-
-/// Bytes: hardly enough for the operating system itself.
-const NEARLY_FULL_BYTES: u64 = 500_000_000;
 
 /// One status line, on a terminal only.
 pub(super) struct StatusLine {

@@ -1,7 +1,7 @@
-//! [`LogFile`]: an MCAP file in which everything older than [`FLUSH_AFTER`] survives a kill at any instant.
+//! [`LogFile`]: an MCAP file in which everything older than [`CHUNK_SPAN`] survives a kill at any instant.
 //!
 //! Messages are collected in a chunk in memory and reach the file as whole chunks, so an unfinished file is a series of
-//! complete records (at worst with one torn at its end). A chunk is closed when it spans [`FLUSH_AFTER`] of camera time
+//! complete records (at worst with one torn at its end). A chunk is closed when it spans [`CHUNK_SPAN`] of camera time
 //! (by the caller, see [`LogFile::message`]) and when its first message has waited that long in wall-clock time, which
 //! a small thread watches: a stalled camera must not keep its last frames in memory.
 //!
@@ -11,6 +11,7 @@
 use super::form::{FileMessage, FileTopic};
 use crate::log::records::plain_records;
 use crate::log::schema::TOPICS_ATTACHMENT;
+use crate::log::{CHUNK_BYTES, CHUNK_SPAN};
 use crate::sink::{SinkError, same_error, settle};
 use mcap::records::{MessageHeader, Metadata, op};
 use mcap::write::NoSeek;
@@ -23,12 +24,6 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-
-/// How long a message may stay in memory: half of the guaranteed second.
-pub(super) const FLUSH_AFTER: Duration = Duration::from_millis(500);
-
-/// Largest chunk, bytes. More than [`FLUSH_AFTER`] of 60 Hz tracking.
-const CHUNK_BYTES: u64 = 1 << 20;
 
 type Writer = mcap::Writer<NoSeek<BufWriter<File>>>;
 
@@ -227,7 +222,7 @@ impl Shared {
     fn flush_what_waits(&self) {
         let mut state = self.lock();
         while !state.closed {
-            let rest = state.waiting_since.map(|since| FLUSH_AFTER.saturating_sub(since.elapsed()));
+            let rest = state.waiting_since.map(|since| CHUNK_SPAN.saturating_sub(since.elapsed()));
             state = match rest {
                 None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
                 Some(Duration::ZERO) => {

@@ -28,12 +28,13 @@ pub(crate) use form::{FileMessage, FileTopic, RosLog};
 use super::encoder::{MessageEncoder, file_time_ns};
 use super::{CurrentSample, ImageTaker, PictureCount, Sink, SinkError, WindowRecorder};
 use crate::estimate::Estimate;
+use crate::log::CHUNK_SPAN;
 use crate::log::schema::messages::PictureWindows;
 use crate::log::schema::{METADATA, OPTIONS_ATTACHMENT, RIG_ATTACHMENT};
 use crate::rig::Rig;
 use crate::source::Picture;
 use crate::tally::{Tally, Totals};
-use file::{FLUSH_AFTER, LogFile, Times};
+use file::{LogFile, Times};
 use form::Form;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -153,7 +154,7 @@ impl McapSink {
 
     /// Passes the frames so far to the system when they span enough camera time.
     fn flush_if_due(&mut self) -> Result<(), SinkError> {
-        if u128::from(self.last_ns.abs_diff(self.flushed_ns)) < FLUSH_AFTER.as_nanos() {
+        if u128::from(self.last_ns.abs_diff(self.flushed_ns)) < CHUNK_SPAN.as_nanos() {
             return Ok(());
         }
         self.flushed_ns = self.last_ns;

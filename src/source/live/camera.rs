@@ -3,7 +3,8 @@
 //! In: the buffers of a connection to a camera, each with a frame counter, a stamp and a picture or the reason why
 //! there is none. Out: frames. Lost frames are those that the counter skips; an unusable picture is left out and also
 //! counted as lost. A counter of the driver, not the camera, sees only what reaches the driver, so the stamps also
-//! count where they are clear. A counter that restarts does not tell what is missing.
+//! count where they are clear. A counter that restarts does not tell what is missing; stamps that do are continued
+//! (`one_clock`).
 //!
 //! A camera that is lost, or silent for [`SILENCE`], is reopened, trying once a second, and set up as before; the
 //! interruption is counted, but the frames lost in it are unknown. Those lost before it are in the gap of the
@@ -13,6 +14,7 @@ use super::super::counter::{Count, FrameCounter, Wrap};
 use super::super::host::{ClockFit, HostClock};
 use super::super::stamps::StampWatch;
 use super::super::{Clock, Frame, FrameSource, HostTime, Picture, SourceError, StreamFaults, Timestamp};
+use super::one_clock::OneClock;
 use super::retry::until_back;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -75,6 +77,7 @@ pub struct Camera {
     size_px: [u32; 2],
     clock: HostClock,
     fit: ClockFit,
+    of_run: OneClock,
     stop: Arc<AtomicBool>,
     last_host_ns: i64,
     seq: u64,
@@ -124,6 +127,7 @@ impl Camera {
             size_px,
             clock,
             fit: ClockFit::default(),
+            of_run: OneClock::default(),
             stop,
             last_host_ns: i64::MIN,
             seq: 0,
@@ -194,6 +198,7 @@ impl Camera {
         };
         let host = HostTime { stamp_ns: host.stamp_ns.max(self.last_host_ns.saturating_add(1)), ..host };
         self.last_host_ns = host.stamp_ns;
+        let stamp = Timestamp { ns: self.of_run.stamp_ns(stamp.ns, host.stamp_ns, &self.name), ..stamp };
         let seq = self.seq;
         self.seq += 1;
         Frame { seq, stamp, gap, host: Some(host), picture }
@@ -215,6 +220,7 @@ impl FrameSource for Camera {
                 Err(reason) => {
                     tracing::warn!("{}: the camera is lost ({reason}); waiting for it to come back", self.name);
                     self.faults.interruptions += 1;
+                    self.of_run.interrupt();
                     self.session = None;
                 }
             }

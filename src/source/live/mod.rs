@@ -16,6 +16,7 @@ mod catching_up;
 mod genicam;
 #[cfg(feature = "gstreamer")]
 mod gstreamer;
+mod one_clock;
 mod paced;
 mod raw;
 mod retry;

@@ -2,8 +2,8 @@
 //! (`-`).
 //!
 //! A network stream that ends or falls silent is reopened, trying once a second, until it is back or the run is
-//! stopped. Its stamps may restart: the gap before its first frame is unknown and counts as 0, the interruption is
-//! counted ([`StreamFaults::interruptions`]). Standard input ends for good. A stream that is joined between two key
+//! stopped. Stamps that restart are continued (`one_clock`): the gap before its first frame is unknown and counts as 0,
+//! the interruption is counted ([`StreamFaults::interruptions`]). Standard input ends for good. A stream that is joined between two key
 //! frames begins with the next.
 //!
 //! A stream of bare pictures (Motion JPEG over HTTP, raw H.264) has no times, and those that libav gives it are
@@ -15,6 +15,7 @@ use super::super::names::without_credentials;
 use super::super::stamps::StampWatch;
 use super::super::{Clock, Frame, FrameSource, HostTime, SourceError, StreamFaults, Timestamp, VideoFile};
 use super::catching_up::CatchingUp;
+use super::one_clock::OneClock;
 use super::retry::until_back;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -35,6 +36,7 @@ pub struct Stream {
     size_px: [u32; 2],
     clock: HostClock,
     fit: ClockFit,
+    of_run: OneClock,
     /// Whether the warning about late frames was given.
     late_named: bool,
     /// Whether a clock that was set was told, since the stream last came back.
@@ -83,6 +85,7 @@ impl Stream {
             size_px,
             clock,
             fit,
+            of_run: OneClock::default(),
             late_named: false,
             restart_named: false,
             arrivals,
@@ -172,7 +175,9 @@ impl FrameSource for Stream {
                 Ok(Some((mut frame, arrival))) => {
                     let arrival_ns = self.clock.at_ns(arrival.unwrap_or_else(Instant::now));
                     frame.host = Some(if self.input.as_ref().is_none_or(VideoFile::has_times) {
-                        self.mapped(&frame, arrival_ns)
+                        let host = self.mapped(&frame, arrival_ns);
+                        frame.stamp.ns = self.of_run.stamp_ns(frame.stamp.ns, host.stamp_ns, &self.name);
+                        host
                     } else {
                         frame.gap = self.arrivals.lost(arrival_ns, self.seq, &mut self.past);
                         frame.stamp = Timestamp { ns: arrival_ns, clock: Clock::HostArrival };
@@ -192,6 +197,7 @@ impl FrameSource for Stream {
             self.past.add(self.input.take().map(|input| input.faults()).unwrap_or_default());
             self.past.interruptions += 1;
             self.restart_named = false;
+            self.of_run.interrupt();
             self.arrivals = Arrivals::new(&self.name);
         }
         Ok(None)

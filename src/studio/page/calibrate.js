@@ -132,6 +132,7 @@ export class Calibrate {
     this.glass = input("glass", "", { type: "number", step: 0.1, min: 0, placeholder: "mm; empty: in air" });
     this.tank = input("tank", "", { placeholder: "254x254x267mm, if it is a box" });
     this.water = input("water", "", { type: "number", step: 0.1, placeholder: "20" });
+    this.distances = input("distances", "", { placeholder: "front_wall=1265mm:2mm, if measured" });
     this.inside = el("input", { id: "inside", type: "checkbox", onchange: () => this.changed() });
     this.folder = input("folder", "boards");
     this.out = el("input", {
@@ -235,6 +236,7 @@ export class Calibrate {
         field("glass", "Glass", this.glass),
         field("tank", "Tank", this.tank),
         field("water", "Water, °C", this.water),
+        field("distances", "Distances from the lens", this.distances),
         el("label", { for: "inside" }, this.inside, "the mirrors stand in the tank"),
       ),
       camera,
@@ -346,6 +348,7 @@ export class Calibrate {
       tank: this.tank.value || null,
       mirrors_inside: this.inside.checked,
       temperature: this.water.value ? Number(this.water.value) : null,
+      distances: this.distances.value,
     };
   }
 

@@ -40,6 +40,7 @@ export class Teach {
       view: "",
       asked: 0,
       chosen: {},
+      states: [],
     });
     this.stage = new Stage(
       "The picture. Click on a band, or move the cross with Shift and the arrows and press Enter.",
@@ -473,6 +474,7 @@ export class Teach {
   refresh(list = true) {
     if (!this.bandList) return;
     if (list) this.listBands();
+    else this.states.forEach((state) => state());
     this.tell();
     this.closer();
     this.stage.redraw();
@@ -550,6 +552,12 @@ export class Teach {
 
   rename(i, name) {
     const old = this.bands[i].name;
+    if (this.bands.some((band, k) => k !== i && band.name === name)) {
+      say(`There is a band ${name} already: choose another name.`, true);
+      return this.listBands();
+    }
+    // What it was chosen for, it still is.
+    for (const role of ["coil", "end"]) if (this[role].value === old) this.chosen[role] = name;
     this.bands[i].name = name;
     this.picks.forEach((pick) => pick.band === old && (pick.band = name));
     this.looks = new Map(
@@ -595,10 +603,19 @@ export class Teach {
   }
 
   listBands() {
+    this.states = [];
     fill(
       this.bandList,
       ...this.bands.map((band, i) => {
-        const [what, bad] = this.state(band);
+        const what = el("div");
+        // Told anew by itself: who types in the list keeps the place.
+        const state = () => {
+          const [words, bad] = this.state(band);
+          what.className = bad ? "what bad" : "what";
+          fill(what, swatch(onPage(i)), words);
+        };
+        state();
+        this.states.push(state);
         const tool = (text, name, does) =>
           el("button", { type: "button", "aria-label": `${name} ${band.name}`, title: name, onclick: does }, text);
         return el(
@@ -644,7 +661,7 @@ export class Teach {
             tool("↓", "down", () => this.move(i, 1)),
             tool("×", "remove", () => this.remove(i)),
           ),
-          el("div", { class: bad ? "what bad" : "what" }, swatch(onPage(i)), what),
+          what,
         );
       }),
     );

@@ -125,7 +125,7 @@ export class Watch {
     const on = !this.recording?.on;
     try {
       this.tellRecording(await ask("watch/record", { on, how: this.how.value }));
-      say(on ? "Pictures are recorded." : "Recording of pictures has ended. The log continues.");
+      say(on ? "Recording of pictures has begun." : "Recording of pictures has ended. The log continues.");
     } catch (error) {
       complain(error);
     }
@@ -180,12 +180,12 @@ export class Watch {
       this.there = true;
     } catch (error) {
       this.there = false;
-      say(`The run is over, or the program is not reached: ${error.message}. The report is in ${this.live.folder}.`);
+      say(`The run is over, or the program is not reached: ${error.message}. What there is of it is in ${this.live.folder}.`);
       this.big.textContent = "θ – over, or not reached";
       this.big.classList.add("bad");
       this.said = null;
       this.recordingSaid = null;
-      fill(this.figures, el("p", { class: "quiet whole" }, "Counts and latencies of the whole run are in the report."));
+      fill(this.figures, el("p", { class: "quiet whole" }, "A run that ended has its counts and latencies in its report."));
       fill(this.alarms, el("p", { class: "bad" }, "Not known: the program does not answer."));
       fill(this.recorded, el("p", { class: "quiet" }, "Not known."));
       this.reachable(false);
@@ -297,6 +297,7 @@ export class Watch {
       [missed, `without θ in ${SECONDS} s`],
       [status.backlog, "rows wait for the disk"],
     ];
+    if (status.disk_gb !== null) figures.push([`${status.disk_gb.toFixed(1)} GB`, "free on the disk"]);
     if (status.unlogged) figures.push([status.unlogged, "rows not logged"]);
     if (status.not_shown) figures.push([status.not_shown, "rows only in the log"]);
     fill(
@@ -317,6 +318,8 @@ export class Watch {
         "frames are passed over: the tracker does not keep up\n" +
           "End other programs, use a smaller picture or a lower frame rate; each frame has its row all the same",
       );
+    if (status.disk_nearly_full)
+      words.push("the disk is nearly full\nFree some of it before rows are lost, or write elsewhere with -o");
     if (status.unlogged)
       words.push("rows cannot be written\nThe disk is full or too slow: free some of it, or write elsewhere with -o");
     const said = [...words, ...over].join();

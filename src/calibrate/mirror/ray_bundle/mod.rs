@@ -13,7 +13,7 @@
 //! includes these errors; everything that is not free is assumed exact.
 
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
-use crate::calibrate::least_squares::{End, Equations, Loss, Row, Step, minimise};
+use crate::calibrate::least_squares::{End, Equations, Loss, Observations, Row, Step, minimise};
 use crate::optics::NoRay;
 use crate::optics::{Sighting, triangulate};
 use crate::whitening::chi_square;
@@ -213,25 +213,25 @@ impl RayBundle<'_> {
 
     fn equations(&self, state: &State) -> Result<Equations, NoRay> {
         let own = state.places.iter().map(|places| unknowns(places));
-        let mut equations = Equations::new(state.common.len(), own);
+        let mut observations = Observations::new(state.common.len(), own);
         let projector = Projector::new(&state.geometry, &self.free);
         for (m, (moment, places)) in self.moments.iter().zip(&state.places).enumerate() {
             for sight in &moment.sights {
-                self.add_sight(&mut equations, &projector, state, (m, places), sight)?;
+                self.add_sight(&mut observations, &projector, state, (m, places), sight)?;
             }
             for (k, length) in self.lengths.iter().enumerate() {
                 if let Some(Some(shorter_m)) = moment.shorter_m.get(k) {
-                    self.add_length(&mut equations, state, (m, places), (k, length, *shorter_m));
+                    self.add_length(&mut observations, state, (m, places), (k, length, *shorter_m));
                 }
             }
         }
-        self.add_priors(&mut equations, state);
-        Ok(equations)
+        self.add_priors(&mut observations, state);
+        Ok(observations.equations())
     }
 
     fn add_sight(
         &self,
-        equations: &mut Equations,
+        observations: &mut Observations,
         projector: &Projector,
         state: &State,
         (m, places): (usize, &[Option<Point3<f64>>]),
@@ -262,13 +262,13 @@ impl RayBundle<'_> {
             let (shared, own) = &derivatives[axis];
             Row { residual: residual[axis], shared, own }
         };
-        equations.add(Some(m), &[row(0), row(1)], Loss::Robust);
+        observations.add(Some(m), &[row(0), row(1)], Loss::Robust);
         Ok(())
     }
 
     fn add_length(
         &self,
-        equations: &mut Equations,
+        observations: &mut Observations,
         state: &State,
         (m, places): (usize, &[Option<Point3<f64>>]),
         (k, length, shorter_m): (usize, &KnownLength, f64),
@@ -286,7 +286,7 @@ impl RayBundle<'_> {
             own[slot_a + i] = -d;
             own[slot_b + i] = *d;
         }
-        equations.add(Some(m), &[Row { residual, shared: &common, own: &own }], Loss::Squared);
+        observations.add(Some(m), &[Row { residual, shared: &common, own: &own }], Loss::Squared);
     }
 
     /// Known length and its correction, less the distance in a frame, in units of its scatter.
@@ -301,7 +301,7 @@ impl RayBundle<'_> {
         Some((length.length_m - shorter_m - chord_m + correction_m) / self.length_scatter_m)
     }
 
-    fn add_priors(&self, equations: &mut Equations, state: &State) {
+    fn add_priors(&self, observations: &mut Observations, state: &State) {
         let errors = self.model_sd_px.iter().flat_map(|sd| std::iter::repeat_n(*sd, self.views()).flatten());
         let free = (0..self.free.len()).map(|i| self.prior_sd.as_ref().and_then(|sd| sd.get(i).copied()));
         let of_lengths = self.lengths.iter().map(|length| length.sd_m);
@@ -311,7 +311,7 @@ impl RayBundle<'_> {
             let mut common = vec![0.0; state.common.len()];
             common[i] = 1.0 / sd;
             let row = Row { residual: -state.common[i] / sd, shared: &common, own: &[] };
-            equations.add(None, &[row], Loss::Squared);
+            observations.add(None, &[row], Loss::Squared);
         }
     }
 }

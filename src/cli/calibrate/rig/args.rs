@@ -5,6 +5,7 @@ use super::super::Length;
 use crate::calibrate::board::Board;
 use crate::calibrate::rig::{RigOptions, Tank, water_index};
 use crate::rig::Draft;
+use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -97,6 +98,14 @@ impl FromStr for Distance {
     }
 }
 
+impl fmt::Display for Distance {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // Micrometres are enough: no tape measures better.
+        let mm = |m: f64| (m * 1e6).round() / 1e3;
+        write!(f, "{}={}mm:{}mm", self.name, mm(self.distance_m), mm(self.sd_m))
+    }
+}
+
 fn wall_arg(text: &str) -> Result<(String, PathBuf), String> {
     let wrong = || format!("`{text}` is not a wall: write NAME=PICTURE, for example front_wall=taped.png");
     let (name, picture) = text.split_once('=').ok_or_else(wrong)?;
@@ -152,6 +161,7 @@ mod tests {
         let distance = "front_wall=1265mm:2mm".parse::<Distance>().unwrap();
         assert_eq!(distance.name, "front_wall");
         assert!((distance.distance_m - 1.265).abs() < 1e-12 && (distance.sd_m - 2e-3).abs() < 1e-12);
+        assert_eq!(distance.to_string(), "front_wall=1265mm:2mm");
         for text in ["254x254mm", "254x254x267", "254x254x267x1mm", "axbxcmm", "254x-1x2mm"] {
             assert!(text.parse::<BoxSize>().unwrap_err().contains("254x254x267mm"), "{text}");
         }

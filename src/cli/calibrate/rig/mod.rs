@@ -25,6 +25,9 @@ use std::path::{Path, PathBuf};
 
 /// Largest ratio between the points' residuals and their stated σ, either way.
 const SD_RATIO_TOLERANCE: f64 = 1.5;
+/// Key of measured distances in the rig's provenance.
+const DISTANCES: &str = "distances";
+
 pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     let out = args.out();
     can_be_written(out)?;
@@ -57,10 +60,16 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     doubts.iter().for_each(|doubt| tracing::warn!("doubt: {doubt}"));
     let page = calibration::page(&info(args, out, &seen, &done), &done, judged.as_ref(), &held);
     let mut rig = into_draft(draft.clone(), &done);
-    if let Some(said) = without_colours(&draft, &rig) {
+    let left_out = without_colours(&draft, &rig).into_iter().chain(without_base(&draft));
+    for said in left_out.chain(without_distances(&draft, args)) {
         tracing::warn!("{said}");
     }
-    rig.provenance.insert("rig".into(), provenance(&seen, &done, judged.as_ref(), doubts)?.into());
+    let mut provenance = provenance(&seen, &done, judged.as_ref(), doubts)?;
+    if !args.distances.is_empty() {
+        let distances = args.distances.iter().map(|distance| distance.to_string().into());
+        provenance.insert(DISTANCES.into(), toml::Value::Array(distances.collect()));
+    }
+    rig.provenance.insert("rig".into(), provenance.into());
     let written = save(&rig, out)?;
     print(&format!("\n{written}\n"))?;
     save_page(&page, &page_path)?;
@@ -218,6 +227,23 @@ fn without_colours(before: &Draft, after: &Draft) -> Option<String> {
             lost.join(", "),
             names(after)
         )
+    })
+}
+
+/// Says that the base frame was measured with the rig as it was.
+fn without_base(before: &Draft) -> Option<String> {
+    let left_out = "the base frame ([base]) is left out: it was measured with the rig as it was; measure it again \
+                    (catoptra calibrate base)";
+    before.base.is_some().then(|| left_out.to_owned())
+}
+
+/// Says which measured distances the rig had and has no more.
+fn without_distances(before: &Draft, args: &RigArgs) -> Option<String> {
+    let had = before.provenance.get("rig")?.get(DISTANCES)?.as_array()?;
+    let had: Vec<&str> = had.iter().filter_map(toml::Value::as_str).collect();
+    (!had.is_empty() && args.distances.is_empty()).then(|| {
+        let again = had.iter().map(|distance| format!("--distance {distance}")).collect::<Vec<_>>().join(" ");
+        format!("measured distances of the rig as it was are not used: if they are still right, add {again}")
     })
 }
 
