@@ -8,8 +8,10 @@ const USUAL: usize = 6;
 /// With so many digits behind the point; what rounds to zero has no sign.
 pub(crate) fn fixed(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
-    let zero = text.chars().all(|c| !c.is_ascii_digit() || c == '0');
-    if zero { text.trim_start_matches('-').to_owned() } else { text }
+    match text.strip_prefix('-') {
+        Some(magnitude) if magnitude.bytes().all(|b| b == b'0' || b == b'.') => magnitude.to_owned(),
+        _ => text,
+    }
 }
 
 /// How many digits behind its first a value has whose σ has two in all.
@@ -37,6 +39,7 @@ mod tests {
     fn what_rounds_to_zero_has_no_sign() {
         assert_eq!([-0.04, 0.04, -0.06, -0.0].map(|v| fixed(v, 1)), ["0.0", "0.0", "-0.1", "0.0"]);
         assert_eq!(fixed(-10.0, 0), "-10");
+        assert_eq!(fixed(f64::NEG_INFINITY, 2), "-inf");
     }
 
     #[test]

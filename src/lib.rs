@@ -75,6 +75,8 @@ pub(crate) mod atomic_file;
 
 mod catch_panic;
 
+mod csv_lines;
+
 mod median;
 
 mod plural;

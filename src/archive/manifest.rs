@@ -12,6 +12,7 @@
 //! Further columns are passed on unchanged. A cell may be in quotes (`"`), and ends in its line. Empty lines are
 //! skipped. Everything is checked first: a mistake in any line is reported with its number, and nothing is started.
 
+use crate::csv_lines::{Lines, open_quote};
 use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -140,27 +141,6 @@ impl Columns {
     }
 }
 
-/// Counts lines: the reader itself counts a line's end with the next line, and skips empty ones.
-struct Lines<'a> {
-    text: &'a [u8],
-    at: usize,
-    line: u64,
-}
-
-impl Lines<'_> {
-    /// The line number at `byte`, or after line ends there; positions must not decrease between calls.
-    fn of(&mut self, byte: u64) -> u64 {
-        let mut to = usize::try_from(byte).unwrap_or(self.text.len()).max(self.at);
-        while self.text.get(to).is_some_and(|byte| b"\r\n".contains(byte)) {
-            to += 1;
-        }
-        let passed = self.text.get(self.at..to).unwrap_or_default();
-        self.line += passed.iter().filter(|byte| **byte == b'\n').count() as u64;
-        self.at = to;
-        self.line
-    }
-}
-
 impl Manifest {
     /// Reads a manifest.
     ///
@@ -196,15 +176,12 @@ impl Manifest {
         let mut width = 0;
         let mut entries: Vec<Entry> = Vec::new();
         let mut lines: HashMap<String, u64> = HashMap::new();
-        let mut passed = Lines { text: text.as_bytes(), at: 0, line: 1 };
+        let mut passed = Lines::of(text.as_bytes(), None);
         for record in reader.records() {
-            let begins = |position: Option<&csv::Position>| position.map_or(0, csv::Position::byte);
-            let record = record.map_err(|error| (passed.of(begins(error.position())), error.to_string()))?;
-            let line = passed.of(begins(record.position()));
+            let record = record.map_err(|error| (passed.line(error.position()), error.to_string()))?;
+            let line = passed.line(record.position());
             let wrong = |reason: String| (line, reason);
-            // A quote that is not closed takes the following lines into its cell, and their recordings with it.
-            if record.iter().any(|cell| cell.contains(['\n', '\r'])) {
-                let open = "a cell begins with a \" that is not closed in this line: close it or leave it out";
+            if let Some(open) = open_quote(&record) {
                 return Err(wrong(open.to_owned()));
             }
             if record.iter().all(|cell| cell.trim().is_empty()) {

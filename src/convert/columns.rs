@@ -4,9 +4,11 @@ use super::mat;
 use super::{ConvertError, free};
 use crate::archive::tables::{Cells, Table};
 use crate::atomic_file::NewFile;
+use crate::digits::fixed;
 use crate::log::schema::messages::{Estimate, Marker};
 use crate::log::schema::table;
-use crate::sink::{OutputFrame, decimal_seconds, fixed};
+use crate::sink::OutputFrame;
+use crate::source::times::{decimal_seconds, seconds};
 use csv::{Terminator, Writer, WriterBuilder};
 use std::fs::File;
 use std::io::{self, BufWriter};
@@ -51,7 +53,7 @@ impl Cell {
             (Self::Text(text), Cells::Text(cells)) => cells.push(Some(text)),
             (Self::Whole(number), Cells::Whole(cells)) => cells.push(Some(number)),
             (Self::Real(value, _), Cells::Real(cells)) => cells.push(value),
-            (Self::Seconds(ns), Cells::Real(cells)) => cells.push(Some(ns as f64 * 1e-9)),
+            (Self::Seconds(ns), Cells::Real(cells)) => cells.push(Some(seconds(ns))),
             // All cells of a column have the kind of the first.
             _ => {}
         }

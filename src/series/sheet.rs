@@ -4,6 +4,7 @@
 //! `#` or `%` and empty lines are left out. The first line is a header unless all its cells are numbers.
 
 use super::SeriesError;
+use crate::csv_lines::{Lines, open_quote};
 use crate::rig::nearest;
 use crate::source::times::parse_seconds_ns;
 use csv::{ReaderBuilder, Trim};
@@ -236,29 +237,20 @@ fn separated(path: &Path, text: &str, separator: u8) -> Result<Vec<Row>, SeriesE
         .flexible(true)
         .trim(Trim::All)
         .from_reader(text.as_bytes());
-    let bytes = text.as_bytes();
-    let (mut rows, mut counted, mut line) = (Vec::new(), 0, 1);
+    let (mut rows, mut lines) = (Vec::new(), Lines::of(text.as_bytes(), None));
     for record in reader.records() {
         let record = record.map_err(|error| SeriesError::Content {
             path: path.to_owned(),
             problem: format!("is no table: {error}"),
         })?;
-        // A record's position is that of the end of the previous one: empty lines and half a line end may be in
-        // between.
-        let behind = record.position().map_or(counted, |at| usize::try_from(at.byte()).unwrap_or(counted));
-        let is_break = |byte: &&u8| matches!(byte, b'\r' | b'\n');
-        let start = behind + bytes.get(behind..).map_or(0, |rest| rest.iter().take_while(is_break).count());
-        line += bytes.get(counted..start).map_or(0, |between| between.iter().filter(|byte| **byte == b'\n').count());
-        counted = counted.max(start);
-        // A quote that is not closed takes the following lines into its cell, and their rows with it.
-        if record.iter().any(|cell| cell.contains(['\n', '\r'])) {
-            let open = "a cell begins with a \" that is not closed in this line: close it or leave it out";
-            return Err(SeriesError::Line { path: path.to_owned(), line: line as u64, problem: open.to_owned() });
+        let line = lines.line(record.position());
+        if let Some(open) = open_quote(&record) {
+            return Err(SeriesError::Line { path: path.to_owned(), line, problem: open.to_owned() });
         }
         if record.get(0).is_some_and(|cell| cell.starts_with(['#', '%'])) {
             continue;
         }
-        rows.push(Row { line: line as u64, cells: record.iter().map(str::to_owned).collect() });
+        rows.push(Row { line, cells: record.iter().map(str::to_owned).collect() });
     }
     Ok(rows)
 }

@@ -90,14 +90,19 @@ impl Ticks {
     /// `None` for fewer than two.
     pub fn evenly(&self, commands: usize) -> Option<(i64, f64)> {
         let first = *self.times_ns.first()?;
-        let points: Vec<(f64, f64)> =
-            self.times_ns.iter().take(commands).enumerate().map(|(k, ns)| (k as f64, (ns - first) as f64)).collect();
+        let points: Vec<(f64, f64)> = self
+            .times_ns
+            .iter()
+            .take(commands)
+            .enumerate()
+            .map(|(k, ns)| (k as f64, ns.saturating_sub(first) as f64))
+            .collect();
         let n = points.len() as f64;
         let (mean_k, mean_t) =
             (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
         let square: f64 = points.iter().map(|p| (p.0 - mean_k).powi(2)).sum();
         let slope = points.iter().map(|p| (p.0 - mean_k) * (p.1 - mean_t)).sum::<f64>() / square;
-        let start = first + (mean_t - slope * mean_k).round() as i64;
+        let start = first.saturating_add((mean_t - slope * mean_k).round() as i64);
         (points.len() > 1).then_some((start, slope))
     }
 }

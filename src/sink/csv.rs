@@ -24,10 +24,12 @@
 //! disk is full the table ends with its last complete row.
 
 use super::{OutputFrame, Sink, SinkError, same_error, settle};
+use crate::digits::fixed;
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::log::schema::table;
 use crate::rig::Rig;
 use crate::source::Picture;
+use crate::source::times::decimal_seconds;
 use crate::tally::Tally;
 use csv::{ErrorKind, Terminator, Writer, WriterBuilder};
 use nalgebra::Isometry3;
@@ -228,22 +230,6 @@ fn marker_cells(marker: &MarkerEstimate, output_from_camera: &Isometry3<f64>, vi
 
 fn empty<const N: usize>() -> [String; N] {
     std::array::from_fn(|_| String::new())
-}
-
-/// `value` with `decimals` decimal places, and no sign on a zero.
-pub(crate) fn fixed(value: f64, decimals: usize) -> String {
-    let text = format!("{value:.decimals$}");
-    match text.strip_prefix('-') {
-        Some(magnitude) if magnitude.bytes().all(|b| b == b'0' || b == b'.') => magnitude.to_owned(),
-        _ => text,
-    }
-}
-
-/// Nanoseconds as decimal seconds, by integer arithmetic: floating point would round 64-bit time stamps.
-pub(crate) fn decimal_seconds(ns: i64) -> String {
-    let sign = if ns < 0 { "-" } else { "" };
-    let magnitude = ns.unsigned_abs();
-    format!("{sign}{}.{:09}", magnitude / 1_000_000_000, magnitude % 1_000_000_000)
 }
 
 #[cfg(test)]

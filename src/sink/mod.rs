@@ -10,7 +10,6 @@ mod csv;
 mod mcap;
 
 pub use self::csv::CsvSink;
-pub(crate) use self::csv::{decimal_seconds, fixed};
 pub(crate) use self::mcap::{FileMessage, FileTopic, RosLog};
 pub use self::mcap::{McapSink, Profile};
 

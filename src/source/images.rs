@@ -19,6 +19,8 @@ use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
 
+use crate::csv_lines::Lines;
+
 use super::gaps::GapCounter;
 use super::jpeg;
 use super::names::{conversion_advice, is_picture_name};
@@ -367,10 +369,10 @@ fn positions(folder: &Path, names: &[String]) -> Result<Vec<u64>, SourceError> {
 /// The table's rows, checked against the pictures in the folder.
 fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, SourceError> {
     let wrong = |line: u64, reason: String| SourceError::Times { path: table.to_path_buf(), line, reason };
-    let csv_error = |error: csv::Error| {
-        wrong(error.position().map_or(1, csv::Position::line), format!("is no row of a table: {error}"))
-    };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(table).map_err(csv_error)?;
+    let csv_error = |error: csv::Error| wrong(1, format!("is no row of a table: {error}"));
+    let text = std::fs::read(table).map_err(|e| csv_error(e.into()))?;
+    let mut lines = Lines::of(&text, None);
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_slice());
     let header = reader.headers().map_err(csv_error)?.clone();
     // Spreadsheets put a byte order mark in front.
     let column = |name: &str| header.iter().position(|h| h.trim_start_matches('\u{feff}') == name);
@@ -385,8 +387,9 @@ fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, Sour
     let mut missing: BTreeSet<&str> = names.iter().map(String::as_str).collect();
     let mut rows: Vec<(String, i64)> = Vec::with_capacity(names.len());
     for record in reader.records() {
-        let record = record.map_err(csv_error)?;
-        let line = record.position().map_or(0, csv::Position::line);
+        let record =
+            record.map_err(|error| wrong(lines.line(error.position()), format!("is no row of a table: {error}")))?;
+        let line = lines.line(record.position());
         let (file, time) = (record.get(file_column).unwrap_or(""), record.get(time_column).unwrap_or(""));
         if !missing.remove(file) {
             let reason = if names.iter().any(|n| n == file) {

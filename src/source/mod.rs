@@ -102,7 +102,7 @@ impl Timestamp {
 
     /// Seconds since an earlier time of the same clock; negative before it.
     pub(crate) fn seconds_since(self, earlier: Self) -> f64 {
-        self.ns.saturating_sub(earlier.ns) as f64 * 1e-9
+        times::seconds(self.ns.saturating_sub(earlier.ns))
     }
 }
 

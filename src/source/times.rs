@@ -18,6 +18,13 @@ pub fn ticks_to_ns(count: i64, numerator: i64, denominator: i64) -> Option<i64> 
     divide_to_nearest(exact, i128::from(denominator))
 }
 
+/// Nanoseconds as decimal seconds, by integer arithmetic: floating point would round 64-bit time stamps.
+pub(crate) fn decimal_seconds(ns: i64) -> String {
+    let sign = if ns < 0 { "-" } else { "" };
+    let magnitude = ns.unsigned_abs();
+    format!("{sign}{}.{:09}", magnitude / 1_000_000_000, magnitude % 1_000_000_000)
+}
+
 /// Seconds in decimal notation (`12`, `0.0166667`, `-1.5e-3`) in nanoseconds: exact, digits below a nanosecond rounded
 /// to nearest; `None` when it is not such a number.
 pub fn parse_seconds_ns(text: &str) -> Option<i64> {

@@ -15,6 +15,7 @@
 use crate::calibrate::rig::share::{CatheterPose, share};
 use crate::estimate::Estimate;
 use crate::rig::{Draft, Rig};
+use crate::source::times::seconds;
 use crate::track::theta_derivative_by_turn;
 use nalgebra::Vector3;
 
@@ -90,7 +91,7 @@ impl BudgetData {
         if let Some((before_ns, theta_rad, at)) = self.last
             && ns > before_ns
         {
-            let dt_s = (ns - before_ns) as f64 * 1e-9;
+            let dt_s = seconds(ns.saturating_sub(before_ns));
             let noise = (2.0 * deflection.theta_sd_rad.powi(2), 2.0 * tip.covariance.trace());
             self.speeds.0 += ((deflection.theta_rad - theta_rad).powi(2) - noise.0) / (dt_s * dt_s);
             self.speeds.1 += ((tip.point.coords - at).norm_squared() - noise.1) / (dt_s * dt_s);
@@ -158,7 +159,7 @@ impl BudgetData {
             return Err(why.to_owned());
         }
         let rms = |sum: f64| (sum / count as f64).max(0.0).sqrt();
-        let sd_s = self.step_ns as f64 * 1e-9 / 12.0_f64.sqrt();
+        let sd_s = self.step_ns as f64 / 1e9 / 12.0_f64.sqrt();
         Ok((rms(theta) * sd_s, of_coordinate(rms(tip) * sd_s)))
     }
 }

@@ -59,7 +59,7 @@ impl Window {
                 let value = inside.iter().map(|(_, v)| v).sum::<Vector3<f64>>() / inside.len() as f64;
                 let squares = inside.iter().map(|(_, v)| (v - value).norm_squared()).sum();
                 let time_s = inside.iter().map(|(ns, _)| self.seconds(*ns)).sum::<f64>() / inside.len() as f64;
-                let later = (time_s - self.middle_s(k)) / (self.pause_ns as f64 * 1e-9);
+                let later = (time_s - self.middle_s(k)) / seconds(self.pause_ns);
                 Some(Mean { value, frames: inside.len(), squares, later })
             })
             .collect()
@@ -84,7 +84,7 @@ impl Window {
 
     /// Relative to the start: small numbers keep their digits.
     fn seconds(&self, ns: i64) -> f64 {
-        ns.saturating_sub(self.start_ns) as f64 * 1e-9
+        seconds(ns.saturating_sub(self.start_ns))
     }
 }
 

@@ -13,6 +13,7 @@ use super::path::DesiredPath;
 use super::pauses::{Sample, Window};
 use super::spline::{Curve, Interpolation};
 use crate::series::{Current, Recording, SeriesError};
+use crate::source::times::seconds;
 use nalgebra::Vector3;
 
 /// How the start is known.
@@ -107,16 +108,16 @@ pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64, c
     let (first_ns, last_ns) = (samples.first()?.0, samples.last()?.0);
     let window = Window { start_ns: first_ns, pause_ns, commands };
     let slack_ns = last_ns.checked_sub(window.end_ns()).filter(|slack| *slack >= 0)?;
-    let times_s = samples.iter().map(|(ns, _)| (ns - first_ns) as f64 * 1e-9).collect();
+    let times_s = samples.iter().map(|(ns, _)| seconds(ns.saturating_sub(first_ns))).collect();
     let curve = Curve::through(times_s, samples.iter().map(|(_, v)| *v).collect(), Interpolation::Linear);
     let every = window.commands.div_ceil(POINTS_EVALUATED);
     let points: Vec<(f64, Vector3<f64>)> = (0..window.commands)
         .step_by(every)
-        .map(|k| ((k as f64 + 0.5) * pause_ns as f64 * 1e-9, path.point(k).coords))
+        .map(|k| ((k as f64 + 0.5) * seconds(pause_ns), path.point(k).coords))
         .collect();
     let best = |from_ns: i64, to_ns: i64, step_ns: i64| {
         let starts = (0..=(to_ns - from_ns) / step_ns).map(|k| from_ns + k * step_ns);
-        let scored = starts.filter_map(|ns| Some((correlation(&curve, &points, ns as f64 * 1e-9)?, ns)));
+        let scored = starts.filter_map(|ns| Some((correlation(&curve, &points, seconds(ns))?, ns)));
         scored.max_by(|a, b| a.0.total_cmp(&b.0))
     };
     // A long record is searched coarsely first.

@@ -57,7 +57,7 @@ impl<'a> Compared<'a> {
         let Ok(mut tracker) = Tracker::new(rig, TrackOptions::default()) else { return vec![None; self.frames.len()] };
         let misfit = |frame: &&Frame| {
             let next = self.followers.get(self.followers.partition_point(|next| next.stamp.ns <= frame.stamp.ns));
-            let close = |next: &&Frame| ((next.stamp.ns - frame.stamp.ns) as f64) < LONGEST_PAIR_S * 1e9;
+            let close = |next: &&Frame| next.stamp.seconds_since(frame.stamp) < LONGEST_PAIR_S;
             match next.filter(close).filter(|_| rig.camera.exposure_s.is_some()) {
                 Some(next) => tracker.misfit_after(frame, next),
                 None => tracker.misfit(frame),

@@ -13,6 +13,7 @@
 use super::error::RigCalibrationError;
 use super::initial::{Image, Initial, SortedPicture, Unusable, mirror_between, mirrors_alike};
 use crate::calibrate::bundle::pose::{by_pose, pose_from_opencv, turned};
+use crate::csv_lines::Lines;
 use crate::optics::Lens;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point2, Point3, Vector3, Vector6};
 use opencv::calib3d;
@@ -104,8 +105,10 @@ impl Points {
     /// [`PointsError`] with line, column and value.
     pub fn read(file: &Path, mirrors: usize, size_px: [u32; 2]) -> Result<Self, PointsError> {
         let read = |source| PointsError::Read { file: file.to_owned(), source };
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(file);
-        let reader = reader.as_mut().map_err(|e| read(csv::Error::from(std::io::Error::other(e.to_string()))))?;
+        let text = std::fs::read(file).map_err(|e| read(e.into()))?;
+        let comment = Some(b'#');
+        let mut lines = Lines::of(&text, comment);
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(comment).from_reader(text.as_slice());
         let headers = reader.headers().map_err(read)?.clone();
         let at = |column: &'static str| {
             let place = headers.iter().position(|name| name.trim_start_matches('\u{feff}') == column);
@@ -125,7 +128,7 @@ impl Points {
         let mut sds = Vec::new();
         for record in reader.records() {
             let record = record.map_err(read)?;
-            let line = record.position().map_or(0, csv::Position::line);
+            let line = lines.line(record.position());
             let text = |at: usize| record.get(at).unwrap_or_default();
             let wrong = |column: &'static str, at: usize, expected: &str| PointsError::Value {
                 file: file.to_owned(),

@@ -16,7 +16,7 @@ use crate::catheter::{Catheter, CatheterError, Followed, Load, Target, equilibri
 use crate::plural::plural;
 use crate::report::catheter as pages;
 use crate::series::{SeriesError, columns, play};
-use crate::sink::decimal_seconds;
+use crate::source::times::decimal_seconds;
 use clap::Subcommand;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;

@@ -8,7 +8,7 @@ use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, rec
 use crate::log::schema::table;
 use crate::plural::plural;
 use crate::series::CurrentTable;
-use crate::sink::decimal_seconds;
+use crate::source::times::decimal_seconds;
 use crate::source::times::seconds;
 use nalgebra::Vector3;
 use std::fmt::Write as _;

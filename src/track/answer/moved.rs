@@ -184,7 +184,8 @@ impl Moved {
         self.latest.push_back(Sample { ns: stamp.ns, direction, position, covariance, at_step: false });
         // (A clock that is set back ends the mean, too.)
         let is_long = |latest: &VecDeque<Sample>| {
-            latest.len() > LATEST && latest.get(1).is_some_and(|next| !(0..LATEST_NS).contains(&(stamp.ns - next.ns)))
+            latest.len() > LATEST
+                && latest.get(1).is_some_and(|next| !(0..LATEST_NS).contains(&stamp.ns.saturating_sub(next.ns)))
         };
         while is_long(&self.latest)
             && let Some(Sample { direction, position, covariance, at_step, .. }) = self.latest.pop_front()

@@ -11,6 +11,7 @@
 
 use crate::estimate::{Estimate, Position};
 use crate::rig::{Rig, View};
+use crate::source::times::seconds;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -54,7 +55,8 @@ struct Motion {
 
 impl Course {
     fn add(&mut self, ns: i64, value: Vector3<f64>) {
-        let continues = |(last, _): &(i64, Vector3<f64>)| (1..(MEMORY_S * 1e9) as i64).contains(&(ns - last));
+        let continues =
+            |(last, _): &(i64, Vector3<f64>)| (1..(MEMORY_S * 1e9) as i64).contains(&ns.saturating_sub(*last));
         if !self.0.front().is_some_and(continues) {
             self.0.clear();
         }
@@ -66,7 +68,7 @@ impl Course {
     /// acceleration where they are not known.
     fn motion(&self, late_s: f64, usual: [f64; 2]) -> Motion {
         let unknown = |sd: f64| Matrix3::from_diagonal_element(sd * sd);
-        let ago = |i: usize| Some((self.0.front()?.0 - self.0.get(i)?.0) as f64 * 1e-9);
+        let ago = |i: usize| Some(seconds(self.0.front()?.0.saturating_sub(self.0.get(i)?.0)));
         let rise = |i: usize, j: usize| Some((self.0.get(i)?.1 - self.0.get(j)?.1) / (ago(j)? - ago(i)?));
         let Some((first_s, slope)) = ago(1).zip(rise(0, 1)) else {
             let covariance = unknown(usual[0] * late_s);
@@ -115,7 +117,7 @@ impl Rolling {
 
     /// When a row is exposed after the first, seconds.
     fn late_s(&self, row: f64) -> f64 {
-        self.row_s * if self.row_s < 0.0 { row - self.rows } else { row }
+        self.row_s * if self.row_s < 0.0 { row - (self.rows - 1.0) } else { row }
     }
 
     /// Mean over the views that show a marker of when they do after the first row, and half of the longest time between
@@ -134,7 +136,7 @@ impl Rolling {
         for m in 0..estimate.markers.len() {
             let Some((late_s, apart_s)) = self.seen_s(estimate, m) else { continue };
             let Ok(position) = &mut estimate.markers[m].position else { continue };
-            let (shown, ns) = (*position, estimate.stamp.ns + (late_s * 1e9) as i64);
+            let (shown, ns) = (*position, estimate.stamp.ns.saturating_add((late_s * 1e9) as i64));
             let Some(course) = self.positions.get_mut(m) else { continue };
             course.add(ns, position.point.coords);
             let rests = m == 0 && rig.resting_base().is_some();

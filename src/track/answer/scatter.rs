@@ -13,6 +13,7 @@
 //! errors that changes, as given by the image model (image_model.rs).
 
 use crate::source::Timestamp;
+use crate::source::times::seconds;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
@@ -53,7 +54,8 @@ impl Scatter {
             self.recent.clear();
         }
         self.recent.push_back((stamp.ns, value, covariance.trace()));
-        while self.recent.len() > ORDER + 1 || self.recent.front().is_some_and(|first| stamp.ns - first.0 > LONGEST_NS)
+        while self.recent.len() > ORDER + 1
+            || self.recent.front().is_some_and(|first| stamp.ns.saturating_sub(first.0) > LONGEST_NS)
         {
             self.recent.pop_front();
         }
@@ -78,12 +80,12 @@ impl Scatter {
             return None;
         }
         let newest = self.recent.back()?.0;
-        let seconds = |ns: i64| (ns - newest) as f64 * 1e-9;
+        let before_s = |ns: i64| seconds(ns.saturating_sub(newest));
         let (mut difference, mut expected) = (Vector3::zeros(), 0.0);
         for (i, (t, value, trace)) in self.recent.iter().enumerate() {
             let others = self.recent.iter().enumerate().filter(|(j, _)| *j != i);
-            // Times are divided by the span, so that the product stays within range.
-            let c = 1.0 / others.map(|(_, other)| (seconds(*t) - seconds(other.0)) * 60.0).product::<f64>();
+            // Times are in frames of 60 Hz, so that the product stays within range.
+            let c = 1.0 / others.map(|(_, other)| (before_s(*t) - before_s(other.0)) * 60.0).product::<f64>();
             difference += value * c;
             expected += c * c * trace;
         }

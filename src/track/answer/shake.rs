@@ -13,6 +13,7 @@
 
 use crate::estimate::Position;
 use crate::source::Timestamp;
+use crate::source::times;
 use crate::track::answer::moved::{BENT_M, Bends};
 use crate::whitening::{Whitened, chi_square};
 use nalgebra::{Matrix3, Vector3};
@@ -74,7 +75,7 @@ impl Shake {
     /// Adds a position of the base band, m, with its covariance, and the direction of the coil, if it was seen.
     pub(in crate::track) fn add(&mut self, stamp: Timestamp, base: &Position, direction: Option<&Vector3<f64>>) {
         let Position { point, covariance, .. } = *base;
-        let is_close = |last: &Sample| (0..MIN_STEP_NS).contains(&(stamp.ns - last.ns));
+        let is_close = |last: &Sample| (0..MIN_STEP_NS).contains(&stamp.ns.saturating_sub(last.ns));
         if self.recent.back().is_some_and(is_close) {
             return;
         }
@@ -87,7 +88,7 @@ impl Shake {
 
     /// The covariance of the shake at a time, m²; zero if there is none.
     pub(in crate::track) fn at(&mut self, stamp: Timestamp) -> Matrix3<f64> {
-        self.recent.retain(|sample| (0..=WINDOW_NS).contains(&(stamp.ns - sample.ns)));
+        self.recent.retain(|sample| (0..=WINDOW_NS).contains(&stamp.ns.saturating_sub(sample.ns)));
         let course = Course::of(&self.recent);
         self.rests = course.as_ref().is_some_and(Course::is_at_rest);
         if let Some(course) = course {
@@ -128,7 +129,7 @@ impl Line {
 
 /// When a sample was taken, seconds from the newest.
 fn seconds(recent: &VecDeque<Sample>, sample: &Sample) -> f64 {
-    recent.back().map_or(0.0, |newest| (sample.ns - newest.ns) as f64 * 1e-9)
+    recent.back().map_or(0.0, |newest| times::seconds(sample.ns.saturating_sub(newest.ns)))
 }
 
 impl<'a> Course<'a> {
