@@ -197,6 +197,27 @@ mod tests {
     }
 
     #[test]
+    fn none_is_lost_where_two_write_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        std::thread::scope(|scope| {
+            for writer in 0..2 {
+                let folder = folder.path();
+                scope.spawn(move || {
+                    for k in 0..40 {
+                        add(folder, (k, k as i64 * 2 + writer), true, "bubble").unwrap();
+                    }
+                });
+            }
+        });
+        assert_eq!((rows(folder.path()).unwrap().len(), Vetoes::read(folder.path()).unwrap().len()), (80, 80));
+        // As some editors leave it, without an end of its last line.
+        let path = folder.path().join(FILE);
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.trim_end()).unwrap();
+        assert_eq!(add(folder.path(), (0, 0), false, "no").unwrap().len(), 79);
+    }
+
+    #[test]
     fn a_veto_is_of_the_moment_whatever_the_number_of_its_frame_and_is_never_passed_over() {
         let folder = tempfile::tempdir().unwrap();
         add(folder.path(), (7, 500), true, "bubble").unwrap();

@@ -13,6 +13,7 @@
 //! skipped. Everything is checked first: a mistake in any line is reported with its number, and nothing is started.
 
 use crate::csv_lines::{Lines, open_quote};
+use crate::plural::plural;
 use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -107,7 +108,9 @@ impl Columns {
         }
         let at = |wanted: &str| names.iter().position(|name| *name == wanted);
         let found = names.join("`, `");
-        let missing = || format!("no column `{RECORDING}`, only `{found}`; the first line names the columns");
+        let separated = if found.contains(';') { ", with tabs or commas between them" } else { "" };
+        let missing =
+            || format!("no column `{RECORDING}`, only `{found}`; the first line names the columns{separated}");
         let own = [RECORDING, RIG, NAME, OPTIONS];
         let others = names.iter().enumerate().filter(|(_, name)| !own.contains(name));
         Ok(Self {
@@ -194,8 +197,8 @@ impl Manifest {
             };
             if record.len() != width {
                 let between = if tabs { "tabs" } else { "commas" };
-                let counted =
-                    format!("{} cells, the first line names {width} columns ({between} between)", record.len());
+                let cells = plural(record.len(), "cell");
+                let counted = format!("{cells}, the first line names {width} columns ({between} between)");
                 return Err(wrong(counted));
             }
             let entry = columns.entry(line, &record, folder).map_err(wrong)?;
@@ -252,7 +255,7 @@ mod tests {
             ("video\trig\na.mkv\tr\n", 1, "no column `recording`, only `video`, `rig`"),
             ("recording\t\na.mkv\tr\n", 1, "column 2 has no name"),
             ("recording\trig\trig\na\tb\tc\n", 1, "two columns `rig`"),
-            ("recording\trig\na.mkv\tr\nb.mkv\n", 3, "1 cells, the first line names 2 columns (tabs between)"),
+            ("recording\trig\na.mkv\tr\nb.mkv\n", 3, "1 cell, the first line names 2 columns (tabs between)"),
             ("recording\trig\na.mkv\tr\n\tr\n", 3, "the recording is missing"),
             ("recording\tname\na\tx\n\nb\ty\nc\tx\n", 5, "\"x\" is that of line 2 already; give another"),
             ("recording\nday1/a.mkv\nday2/a.mkv\n", 3, "is that of line 2 already; add a column `name`"),

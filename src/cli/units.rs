@@ -32,14 +32,29 @@ pub(super) fn duration_s(text: &str) -> Result<f64, String> {
     value.filter(|s| *s > 0.0).ok_or_else(|| format!("`{text}` is no time above 0: write for example 20ms or 300s"))
 }
 
+/// A time of mostly some milliseconds, in seconds above 0; without a unit it is seconds, below 1.
+pub(super) fn short_s(text: &str) -> Result<f64, String> {
+    duration_s(text).and_then(|s| with_clear_unit(text, s))
+}
+
+/// The same, also 0 or below.
+pub(super) fn signed_short_s(text: &str) -> Result<f64, String> {
+    let s = with_unit(text, TIMES).ok_or_else(|| format!("`{text}` is no time: write for example 20ms or -0.02"))?;
+    with_clear_unit(text, s)
+}
+
+/// Many write milliseconds without saying so.
+fn with_clear_unit(text: &str, s: f64) -> Result<f64, String> {
+    let text = text.trim();
+    match text.parse::<f64>() {
+        Ok(number) if number.abs() >= 1.0 => Err(format!("`{text}`: of which unit? Write {text}ms or {text}s")),
+        _ => Ok(s),
+    }
+}
+
 /// A time in seconds, or none: 0.
 pub(super) fn duration_or_none_s(text: &str) -> Result<f64, String> {
     if matches!(text.trim(), "0" | "0s" | "0ms") { Ok(0.0) } else { duration_s(text) }
-}
-
-/// A time in seconds that may be 0 or below.
-pub(super) fn signed_duration_s(text: &str) -> Result<f64, String> {
-    with_unit(text, TIMES).ok_or_else(|| format!("`{text}` is no time: write for example 20ms or -0.02"))
 }
 
 /// A time that may be below 0; seconds, with or without their unit, are exact to the nanosecond as stamps are.
@@ -93,7 +108,7 @@ mod tests {
         assert_eq!([current_a("100mA"), current_a("0.1 A"), current_a("-50mA")], [Ok(0.1), Ok(0.1), Ok(-0.05)]);
         assert_eq!([frequency_hz("0.5Hz"), frequency_hz("8"), frequency_hz("500 mHz")], [Ok(0.5), Ok(8.0), Ok(0.5)]);
         assert_eq!([duration_s("20ms"), duration_s("5min"), duration_s("300")], [Ok(0.02), Ok(300.0), Ok(300.0)]);
-        assert_eq!([signed_duration_s("-5 ms"), signed_duration_s("0")], [Ok(-0.005), Ok(0.0)]);
+        assert_eq!([signed_short_s("-5 ms"), signed_short_s("0")], [Ok(-0.005), Ok(0.0)]);
         assert_eq!([slew_a_s("2A/s"), slew_a_s("0.5")], [Ok(2.0), Ok(0.5)]);
         assert_eq!(["3", "3s", "3000 ms"].map(seconds), [(); 3].map(|()| Ok(Duration::from_secs(3))));
         assert_eq!(["-0.000000001", "-0.000000001s", "2min"].map(seconds_ns), [Ok(-1), Ok(-1), Ok(120_000_000_000)]);
@@ -111,7 +126,10 @@ mod tests {
         assert!(positive_current_a("0mA").unwrap_err().contains("above 0"));
         assert!(frequency_hz("-1Hz").is_err() && frequency_hz("0.5s").is_err());
         assert!(duration_s("0ms").is_err() && duration_s("1h").is_err());
-        assert!(signed_duration_s("2m").unwrap_err().contains("20ms"));
+        assert!(signed_short_s("2m").unwrap_err().contains("20ms"));
+        // Seconds by themselves, but not what is as likely milliseconds.
+        assert_eq!((short_s("0.02"), short_s("20ms"), short_s("20s")), (Ok(0.02), Ok(0.02), Ok(20.0)));
+        assert!([short_s("20"), signed_short_s("-12")].iter().all(|s| s.as_ref().unwrap_err().contains("unit")));
         assert!(slew_a_s("0").is_err() && slew_a_s("1V/s").is_err());
     }
 }

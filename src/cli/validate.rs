@@ -3,7 +3,7 @@
 use super::outcome::{self, Json, Outcome};
 use super::output::REPORT;
 use super::results::{Results, unfinished};
-use super::units::{duration_s, seconds_ns};
+use super::units::{seconds_ns, short_s};
 use super::{Exit, Failure, interrupt, output, provenance};
 use crate::identify::Plant;
 use crate::identify::results::saved::Saved;
@@ -25,7 +25,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PATH.csv")]
     desired: PathBuf,
     /// How long each point was commanded, one for each run, in their order
-    #[arg(long, value_name = "T", required = true, value_delimiter = ',', value_parser = duration_s)]
+    #[arg(long, value_name = "T", required = true, value_delimiter = ',', value_parser = short_s)]
     pause: Vec<f64>,
     /// Camera time of the first command, s [default: by ticks, else currents, else searched]
     #[arg(long, value_name = "T", value_delimiter = ',', value_parser = seconds_ns, allow_hyphen_values = true)]

@@ -122,7 +122,7 @@ mod tests {
             message("0 1\n", "u"),
             "data.csv: has no header, and so no column `u`; give the column's number, 1 to 2"
         );
-        assert_eq!(message("t,u\n0,1\n1\n", "u"), "data.csv, line 3: has 1 cells, the first line has 2");
+        assert_eq!(message("t,u\n0,1\n1\n", "u"), "data.csv, line 3: has 1 cell, the first line has 2");
         let no_number = "is no number; numbers have a decimal point, what is missing is empty or `nan`";
         assert_eq!(message("t,u\n0,1\n\n1,a\n", "u"), format!("data.csv, line 4: `a` in column `u` {no_number}"));
         assert_eq!(message("0 1\n1 inf\n", "2"), format!("data.csv, line 2: `inf` in column 2 {no_number}"));

@@ -6,6 +6,7 @@
 
 use super::sheet::text_of;
 use super::{CurrentClock, CurrentRow, CurrentTable, SeriesError};
+use crate::plural::plural;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -21,13 +22,14 @@ pub(crate) fn is_play(path: &Path) -> bool {
 /// The list as a table: `t_s` from 0, a column `channel_N` for each channel up to the highest.
 pub(super) fn read(path: &Path) -> Result<CurrentTable, SeriesError> {
     let text = text_of(path)?;
+    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     let mut changes: Vec<(i64, usize, f64)> = Vec::new();
     let mut time_ns = 0_i64;
     for (line, content) in (1..).zip(text.lines()).filter(|(_, content)| !content.trim().is_empty()) {
         let wrong = |problem: String| SeriesError::Line { path: path.to_owned(), line, problem };
         let cells: Vec<&str> = content.split(',').map(str::trim).collect();
         let [channel, current, delay] = cells.as_slice() else {
-            return Err(wrong(format!("has {} cells; expected channel, current_mA, delay_ms", cells.len())));
+            return Err(wrong(format!("has {}; expected channel, current_mA, delay_ms", plural(cells.len(), "cell"))));
         };
         let channel = channel.parse().ok().filter(|channel| (1..=MAX_CHANNELS).contains(channel));
         let channel = channel.ok_or_else(|| wrong(format!("`{}` is no channel from 1 to {MAX_CHANNELS}", cells[0])))?;

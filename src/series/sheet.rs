@@ -5,6 +5,7 @@
 
 use super::SeriesError;
 use crate::csv_lines::{Lines, open_quote};
+use crate::plural::plural;
 use crate::rig::nearest;
 use crate::source::times::parse_seconds_ns;
 use csv::{ReaderBuilder, Trim};
@@ -110,9 +111,8 @@ impl Sheet {
     /// Rejects rows with a different number of cells than the first line.
     pub(super) fn check_row_widths(&self) -> Result<(), SeriesError> {
         match self.rows.iter().find(|row| row.cells.len() != self.width) {
-            Some(row) => {
-                Err(self.wrong_at(row, format!("has {} cells, the first line has {}", row.cells.len(), self.width)))
-            }
+            Some(row) => Err(self
+                .wrong_at(row, format!("has {}, the first line has {}", plural(row.cells.len(), "cell"), self.width))),
             None => Ok(()),
         }
     }
@@ -134,11 +134,17 @@ impl Sheet {
         Err(self.wrong(match (&self.header, number) {
             (_, Some(_)) => format!("has no column {name}; columns are numbered from 1 to {}", self.width),
             (None, None) => {
-                format!("has no header, and so no column `{name}`; give the column's number, 1 to {}", self.width)
+                format!(
+                    "has no header, and so no column `{name}`: write one, or give the column's number, 1 to {}, where \
+                     an option asks for it",
+                    self.width
+                )
             }
             (Some(names), None) => match nearest(name, names.iter().map(String::as_str)) {
-                Some(near) => format!("has no column `{name}`; did you mean `{near}`?"),
-                None => format!("has no column `{name}`; it has {}", names.join(", ")),
+                Some(near) if names.len() > 1 => {
+                    format!("has no column `{name}`; it has {}: did you mean `{near}`?", names.join(", "))
+                }
+                _ => format!("has no column `{name}`; it has {}", names.join(", ")),
             },
         }))
     }

@@ -49,9 +49,12 @@ impl CurrentColumns {
     pub(crate) fn of<S: AsRef<str>>(names: &[S]) -> Result<Self, String> {
         let at = |wanted: &str| names.iter().position(|name| name.as_ref() == wanted);
         let Some((time, times)) = TIMES.iter().find_map(|(name, times)| Some((at(name)?, *times))) else {
-            return Err("has no times of currents: expected a header with host_ns, unix_s, stamp_ns or t_s, and one \
-                        column per coil"
-                .to_owned());
+            let separated = names.iter().any(|name| name.as_ref().contains([';', '\t']));
+            let with = if separated { ", with commas between them" } else { "" };
+            return Err(format!(
+                "has no times of currents: expected a header with host_ns, unix_s, stamp_ns or t_s, and one column \
+                 per coil{with}"
+            ));
         };
         let coils: Vec<usize> = (0..names.len()).filter(|i| !is_time(names[*i].as_ref())).collect();
         if coils.is_empty() {

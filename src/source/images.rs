@@ -63,6 +63,8 @@ pub struct ImageFolder {
 /// Pictures further apart hardly show a catheter move: their times are probably in another unit. Milliseconds read as
 /// seconds give 1.67 s even at 600 frames per second.
 const SLOW_S: f64 = 1.5;
+/// Less from picture to picture is no camera's time in the stated unit.
+const FAST_S: f64 = 1e-4;
 
 impl ImageFolder {
     /// Lists the pictures of the folder and their times; those outside `span` are left out.
@@ -417,7 +419,7 @@ fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, Sour
     let mut steps: Vec<f64> =
         rows.iter().zip(rows.iter().skip(1)).map(|((_, a), (_, b))| seconds(b.saturating_sub(*a))).collect();
     steps.sort_unstable_by(f64::total_cmp);
-    if let Some(step_s) = steps.get(steps.len() / 2).filter(|step_s| **step_s > SLOW_S) {
+    if let Some(step_s) = steps.get(steps.len() / 2).filter(|step_s| !(FAST_S..=SLOW_S).contains(*step_s)) {
         let (table, column) = (table.display(), if in_ns { "stamp_ns is in nanoseconds" } else { "t_s is in seconds" });
         tracing::warn!("{table}: the pictures are {step_s} s apart: {column}; are these times?");
     }

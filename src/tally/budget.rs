@@ -12,7 +12,7 @@
 //!
 //! Cannot tell: errors that no σ covers, such as a moved mirror, or places outside the boards' volume.
 
-use crate::calibrate::rig::share::{CatheterPose, share};
+use crate::calibrate::rig::share::{CatheterPose, of_coordinate, share};
 use crate::estimate::Estimate;
 use crate::rig::{Draft, Rig};
 use crate::source::times::seconds;
@@ -162,11 +162,6 @@ impl BudgetData {
         let sd_s = self.step_ns as f64 / 1e9 / 12.0_f64.sqrt();
         Ok((rms(theta) * sd_s, of_coordinate(rms(tip) * sd_s)))
     }
-}
-
-/// σ of a coordinate, on average over the three, of an error that is this large in space.
-fn of_coordinate(trace_root_m: f64) -> f64 {
-    trace_root_m / 3.0_f64.sqrt()
 }
 
 /// All known contributions combined: θ, radians, and a coordinate of the tip, metres.

@@ -8,8 +8,9 @@ use super::response::spread;
 use super::timing::WEAK_CORRELATION;
 use nalgebra::Point3;
 
-/// Sizes of motion and path that differ by more than this factor are hardly in the same unit.
-const OTHER_UNIT: f64 = 20.0;
+/// Sizes of motion over that of the path that are hardly of the same unit: what follows a path may be much smaller, but
+/// even at a resonance not as much larger.
+const SAME_UNIT: std::ops::RangeInclusive<f64> = 0.05..=8.0;
 /// More commands than this fraction without a point are noted.
 const MANY_LEFT_OUT: f64 = 0.25;
 /// Points that lie further than this fraction of the radius from their circle (RMS) are noted.
@@ -39,8 +40,7 @@ pub(super) fn many_left_out(left_out: usize, commands: usize) -> Option<String> 
 pub(super) fn other_unit(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> Option<String> {
     let (observed_m, desired_m) = (spread(observed).norm(), spread(desired).norm());
     let ratio = observed_m / desired_m;
-    let close = (OTHER_UNIT.recip()..=OTHER_UNIT).contains(&ratio);
-    (!close).then(|| {
+    (!SAME_UNIT.contains(&ratio)).then(|| {
         format!(
             "the motion has a size of {:.3} mm, the path one of {:.3} mm, which is hardly the same unit: both must be \
              in mm (or the marker does not move)",

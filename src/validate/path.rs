@@ -3,6 +3,7 @@
 use super::circle::Circle;
 use super::error::ValidateError;
 use super::plane::Plane;
+use crate::plural::plural;
 use crate::series::{Three, columns_and};
 use nalgebra::{Point3, Vector3};
 use std::path::{Path, PathBuf};
@@ -65,7 +66,7 @@ impl DesiredPath {
         let rows = points.len();
         let length = per_period.unwrap_or(rows);
         if length < 3 {
-            return Err(wrong(format!("has {length} points per period; a path needs 3 or more")));
+            return Err(wrong(format!("has {} per period; a path needs 3 or more", plural(length, "point"))));
         }
         if rows < length || !rows.is_multiple_of(length) {
             return Err(wrong(format!("has {rows} rows, which is no multiple of {length} points per period")));

@@ -126,7 +126,11 @@ pub(super) fn timing<'a>(
     let stamps: Vec<i64> = inside.iter().map(|frame| frame.stamp_ns).collect();
     let interval_s = interval_s(&stamps).ok_or_else(|| ValidateError::Unusable {
         path: recording.path.clone(),
-        problem: "has a single frame from the time of the commands".to_owned(),
+        problem: format!(
+            "has a single frame from the time of the commands ({} s to {} s): are its times in seconds?",
+            seconds(window.start_ns),
+            seconds(window.end_ns())
+        ),
     })?;
     Ok(Timing { window, start_from, start_correlation, note, inside, interval_s })
 }
@@ -166,12 +170,16 @@ fn in_order(frames: &[Frame]) -> Result<(), String> {
     }
     match frames.iter().zip(frames.iter().skip(1)).find(|(before, after)| after.stamp_ns <= before.stamp_ns) {
         Some((before, after)) => Err(format!(
-            "frame {} ({} s) is not later than frame {} ({} s): the camera's clock restarted; use the part before or \
-             after",
+            "frame {} ({} s) is not later than frame {} ({} s): {}",
             after.seq,
             seconds(after.stamp_ns),
             before.seq,
-            seconds(before.stamp_ns)
+            seconds(before.stamp_ns),
+            if after.seq <= before.seq {
+                "is a row there twice, or in the wrong order?"
+            } else {
+                "the camera's clock restarted; use the part before or after"
+            }
         )),
         None => Ok(()),
     }

@@ -214,7 +214,7 @@ fn bad_input_is_named() {
     let same = [picture("00.png"), picture("00.png"), picture("00.png"), picture("00.png"), picture("00.png")];
     refused(
         3,
-        "found in 1 different pictures",
+        "found in 1 different picture,",
         &camera(folder.path(), &same.each_ref().map(String::as_str), "rig.toml"),
     );
     refused(2, "no such folder", &camera(folder.path(), &[&picture("00.png")], "nowhere/rig.toml"));

@@ -61,7 +61,7 @@ fn eq_7_is_applied_to_a_record_and_a_wrong_sign_is_seen() {
     let wrong = out.path().join("h.toml");
     std::fs::write(&wrong, "num = [-8805, -3172]\nden = [1, 4.59, 1.136]\n").unwrap();
     let run = apply(&out.path().join("bad"), &wrong);
-    assert!(run.status.success() && said(&run).contains("would fit best times -2.0"), "{}", said(&run));
+    assert!(run.status.success() && said(&run).contains("would fit best multiplied by -2.0"), "{}", said(&run));
     let missing = apply(&out.path().join("none"), Path::new("nowhere.json"));
     assert_eq!(missing.status.code(), Some(2));
     assert!(said(&missing).contains("cannot read model nowhere.json"), "{}", said(&missing));

@@ -221,6 +221,11 @@ fn a_log_whose_index_alone_was_damaged_lacks_nothing_once_repaired() {
     let mended = Recording::read(&path).unwrap();
     assert!(mended.cut.is_none() && mended.frames == whole.frames, "{:?}", mended.cut);
     assert!(stdout(&command("info", &path)).contains("complete, with index"));
+    // It is as robust as before, and no larger.
+    let mended = std::fs::read(&path).unwrap();
+    let chunks = |log: &[u8]| mcap::Summary::read(log).unwrap().unwrap().chunk_indexes.len();
+    assert!(chunks(&mended).abs_diff(chunks(&bytes)) <= 1, "{} of {}", chunks(&mended), chunks(&bytes));
+    assert!(mended.len() < bytes.len() * 11 / 10, "{} of {} bytes", mended.len(), bytes.len());
 }
 
 /// Names and schemas of all topics are in the first chunk, and once more at the end.

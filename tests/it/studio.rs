@@ -289,6 +289,8 @@ fn a_run_is_looked_through_and_frames_are_vetoed() {
     let shown = picture();
     std::fs::copy(file("sample_frames/rest.mkv"), folder.path().join("planar.mkv")).unwrap();
     assert!(picture() != shown);
+    let found = at(7);
+    assert!(found["no_picture"].as_str().unwrap().contains("has another content than when it was tracked"), "{found}");
 
     // Without its log a run is a table; without its recording it has no pictures.
     std::fs::remove_file(folder.path().join("run/log.mcap")).unwrap();

@@ -27,6 +27,7 @@ use crate::calibrate::bundle::shape::{PRINT, Shape};
 use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::Lens;
+use crate::plural::plural;
 use diagnostics::CameraDiagnostic;
 use models::Model;
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2};
@@ -124,8 +125,8 @@ pub enum CameraError {
     },
     /// Too few pictures with a board.
     #[error(
-        "the board was found in {found} different pictures, at least {FEWEST_PICTURES} are needed, 10 to 20 are good{}",
-        left_out_lines(.left_out)
+        "the board was found in {}, at least {FEWEST_PICTURES} are needed, 10 to 20 are good{}",
+        plural(*.found, "different picture"), left_out_lines(.left_out)
     )]
     TooFew {
         /// How many.

@@ -48,6 +48,7 @@ use fitted::{lengths_m, place_bands, tune};
 use learned::{learn_views, set_models};
 use locate::pixels::Pixels;
 use locate::{Near, locate};
+use nalgebra::Vector3;
 use samples::{Place, Samples};
 
 /// Results of a calibration, intermediate and final.
@@ -86,6 +87,8 @@ pub struct MarkersCalibration {
     pub blur_sd_px: Vec<Option<f64>>,
     /// Dimensions that the pictures contradict.
     pub contradicted: Vec<ContradictedDimension>,
+    /// How far each marker moves: RMS distance from its mean place, metres; 0 where it was not measured.
+    pub moves_m: Vec<f64>,
 }
 
 /// Most frames used, spread over the recording.
@@ -181,6 +184,13 @@ impl Teaching {
         }
         let answered = |m: usize| estimates.iter().filter(|e| e.markers[m].position.is_ok()).count();
         let first_miss = |m: usize| estimates.iter().find_map(|e| e.markers[m].position.as_ref().err().cloned());
+        let moves_m = |m: usize| {
+            let places =
+                || estimates.iter().filter_map(|e| Some(e.markers.get(m)?.position.as_ref().ok()?.point.coords));
+            let count = places().count().max(1) as f64;
+            let mean = places().sum::<Vector3<f64>>() / count;
+            (places().map(|place| (place - mean).norm_squared()).sum::<f64>() / count).sqrt()
+        };
         let markers = 0..rig.markers.len();
         let done = MarkersCalibration {
             frames: frames.len(),
@@ -189,6 +199,7 @@ impl Teaching {
             centre_sd_m,
             blur_sd_px,
             contradicted: measures::contradicted(rig, frames, &estimates, &lengths_m(rig, frames)),
+            moves_m: markers.map(moves_m).collect(),
         };
         self.usable(&done)?;
         Ok(done)

@@ -118,3 +118,8 @@ fn outside_m(rig: &Draft, poses: &[CatheterPose]) -> Option<f64> {
     };
     poses.iter().flat_map(|pose| [beyond(&pose.coil), beyond(&pose.tip)]).reduce(f64::max)
 }
+
+/// σ of a coordinate, on average over the three, of an error that is this large in space.
+pub(crate) fn of_coordinate(trace_root_m: f64) -> f64 {
+    trace_root_m / 3.0_f64.sqrt()
+}

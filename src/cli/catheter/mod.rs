@@ -9,7 +9,7 @@ pub(super) use run::Columns;
 use super::excite::check_coils;
 use super::output::{PAGE, is_free_for_page, save};
 use super::results::refuse_to_overwrite_inputs;
-use super::units::{current_a, duration_s};
+use super::units::{current_a, short_s};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::length_m;
 use crate::catheter::{Catheter, CatheterError, Followed, Load, Target, equilibrium, follow, harmonics, reach};
@@ -130,7 +130,7 @@ struct FollowArgs {
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1000))]
     periods: u32,
     /// How long each point is held; several give one table each
-    #[arg(long, value_name = "T,T,…", value_delimiter = ',', value_parser = duration_s, default_value = "20ms")]
+    #[arg(long, value_name = "T,T,…", value_delimiter = ',', value_parser = short_s, default_value = "20ms")]
     pause: Vec<f64>,
     /// Names of the coils' columns
     #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "x_a,y_a,z_a")]

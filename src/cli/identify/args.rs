@@ -4,7 +4,7 @@ use crate::cli::Failure;
 use crate::cli::outcome::HiddenJson;
 use crate::cli::output::REPORT;
 use crate::cli::results::Results;
-use crate::cli::units::{duration_s, signed_duration_s};
+use crate::cli::units::{duration_s, signed_short_s};
 use crate::identify::Repeats;
 use crate::identify::chain::settings::{Choice, Estimator, Settings};
 use crate::identify::data::prepare::Detrend;
@@ -183,7 +183,7 @@ impl std::str::FromStr for DelayArg {
         if text == "auto" {
             return Ok(Self::Auto);
         }
-        signed_duration_s(text).map(Self::Given).map_err(|why| format!("{why}, or auto"))
+        signed_short_s(text).map(Self::Given).map_err(|why| format!("{why}, or auto"))
     }
 }
 

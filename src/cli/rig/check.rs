@@ -3,7 +3,7 @@
 use super::super::progress::Progress;
 use super::super::run::two_views;
 use super::super::{Exit, Failure, fitting, output};
-use crate::calibrate::rig::share::{CatheterPose, share};
+use crate::calibrate::rig::share::{CatheterPose, of_coordinate, share};
 use crate::optics::{Surface, Wall};
 use crate::plural::plural;
 use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
@@ -70,12 +70,12 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
     let share = share(draft, &some).map_err(|e| unusable(&e))?;
     let mut text = format!("\nthe calibration's share of errors at the catheter in {} (1σ)", recording.display());
     text += &format!(
-        "\n  θ                {:.4}°, at the worst moment {:.4}°\n  tip, base frame  {:.4} mm, at the worst moment \
+        "\n  θ                  {:.4}°, at the worst moment {:.4}°\n  tip, a coordinate  {:.4} mm, at the worst moment \
          {:.4} mm\n",
         share.theta_rad.0.to_degrees(),
         share.theta_rad.1.to_degrees(),
-        share.tip_m.0 * 1e3,
-        share.tip_m.1 * 1e3
+        of_coordinate(share.tip_m.0) * 1e3,
+        of_coordinate(share.tip_m.1) * 1e3
     );
     if draft.lens_is_adjusted() == Some(false) {
         text += "  the lens is taken as exact: its errors are not among these (it came without σ)\n";

@@ -53,7 +53,10 @@ pub(super) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 fn entries(args: &Args) -> Result<Vec<(Entry, Options)>, Failure> {
     if args.csv.is_some() {
         let text = match args.has_folder_for_each() {
-            true => "--csv is for one recording: of many, each has its track.csv in its folder",
+            true => {
+                "--csv is for one recording: of many, each has its track.csv in its folder (if the second is the name \
+                 of the table, write --csv=FILE)"
+            }
             false => "--csv does not go with --resume and --dry-run, which look for track.csv in the folder of results",
         };
         return Err(Failure::usage(text));

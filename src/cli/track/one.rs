@@ -10,6 +10,7 @@ use super::options::Options;
 use crate::archive::{Measured, early_end};
 use crate::log::is_log;
 use crate::pipeline::{self, Summary};
+use crate::plural::plural;
 use crate::report::RunInfo;
 use crate::rig::Rig;
 use crate::source::times::seconds;
@@ -98,10 +99,10 @@ impl Request<'_> {
         let options = SourceOptions { span, stated_rate, decoder_threads: self.threads, ..SourceOptions::default() };
         let source = fitting::open_to_track((self.source, options), (file, rig))?;
         tracing::info!(
-            "{}: {}, {} threads; -vv describes every frame",
+            "{}: {}, {}; -vv describes every frame",
             self.source.display(),
             source.described(),
-            self.pool.current_num_threads()
+            plural(self.pool.current_num_threads(), "thread")
         );
         Ok(PreparedRun { tracker, source })
     }

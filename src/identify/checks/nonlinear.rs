@@ -119,6 +119,12 @@ impl fmt::Display for Nonlinear {
                  ({sigmas:.0} σ): is there backlash, friction or hysteresis, or a delay beyond --nk?",
                 100.0 * width
             ),
+            // More than all of it cannot be lost: the element stands for something else.
+            Element::Stiffness(..-1.0) | Element::Drag(1.0..) => write!(
+                f,
+                "the response to the {of} depends on its size or speed ({sigmas:.0} σ), by more than springs and \
+                 drags do: does the input belong to this output (another coil, another --delay)?"
+            ),
             Element::Stiffness(change) => write!(
                 f,
                 "beyond half of the largest {of} its stiffness is {:.0} % {} than below it ({sigmas:.0} σ): the \

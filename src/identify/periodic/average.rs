@@ -6,6 +6,7 @@
 //! the output to the input is included in variances and covariance.
 
 use crate::identify::data::segments::Segment;
+use crate::plural::plural;
 use nalgebra::Complex;
 use rustfft::FftPlanner;
 use std::f64::consts::TAU;
@@ -122,9 +123,9 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
     }
     if periods.len() < MIN_PERIODS {
         return Err(format!(
-            "{} whole periods of {repeats_s} s are left behind the first {skip} ({left_out} more have holes), and \
+            "{} of {repeats_s} s can be used ({skip} at the start and {left_out} with holes are left out), and \
              {MIN_PERIODS} are needed, better 7",
-            periods.len()
+            plural(periods.len(), "whole period")
         ));
     }
     let widened = fill(&mut periods, samples)?;

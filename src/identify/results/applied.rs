@@ -86,8 +86,9 @@ pub(crate) fn apply(
         for record in &data.validation {
             let gain = best_gain(&leading.model, &record.segments, initial_state);
             if (gain - 1.0).abs() > GAIN_TOLERANCE {
+                let times = if gain.abs() < 0.01 { format!("{gain:.1e}") } else { format!("{gain:.3}") };
                 applied.notes.push(format!(
-                    "{}: {} would fit best times {gain:.3}: other units, another coil, or another system?",
+                    "{}: {} would fit best multiplied by {times}: other units, another coil, or another system?",
                     record.name, leading.title
                 ));
             }
@@ -150,6 +151,6 @@ mod tests {
         let applied = apply(&records(1e3, 0.02), &saved, InitialState::Rest, ("current (A)", "y")).unwrap();
         let notes = applied.notes.join("\n");
         assert!(notes.contains("net torque (N·m), that of the records current (A)"), "{notes}");
-        assert!(notes.contains("would fit best times 1000.000"), "{notes}");
+        assert!(notes.contains("would fit best multiplied by 1000.000"), "{notes}");
     }
 }

@@ -4,6 +4,7 @@ use super::super::file::{CatheterFile, MarkerFile, ViewColourFile};
 use super::super::numbers::millimetres as written_mm;
 use super::super::{Catheter, ColourModel, ColourPlane, Marker, RigError, View};
 use super::{Check, FARTHEST_MM, unknown_name};
+use crate::plural::plural;
 use nalgebra::Vector3;
 
 /// A wider tube is a slip of the units; pictures of bands of any width cannot be made.
@@ -29,7 +30,7 @@ impl Check<'_> {
         }
         // A file whose views were left out, because the lens changed, keeps what its bands had in them.
         if !raw.usual_residuals.is_empty() && !views.is_empty() && raw.usual_residuals.len() != views.len() {
-            let expected = format!("{} numbers, one for each view", views.len());
+            let expected = format!("{}, one for each view", plural(views.len(), "number"));
             return Err(self.value(key("usual_residuals"), format_args!("{:?}", raw.usual_residuals), expected));
         }
         if let Some(colour) = &raw.colour {
@@ -156,6 +157,11 @@ impl Check<'_> {
             let most_mm = longest_stiff_m(markers, coil) * 1e3;
             if rigid > most_mm {
                 let expected = format!("at most {most_mm:.0}: the stiff part around the middle of the coil");
+                return Err(self.value("catheter.rigid_mm", rigid, expected));
+            }
+            let band_mm = markers.get(coil).map_or(0.0, |coil| coil.length_m * 1e3);
+            if rigid < band_mm - 1e-9 {
+                let expected = format!("at least {band_mm}, the length of the coil's band, which is stiff");
                 return Err(self.value("catheter.rigid_mm", rigid, expected));
             }
         }

@@ -98,7 +98,7 @@ impl Check<'_> {
     fn within(&self, key: impl Display, values: &[f64], most: f64) -> Result<(), RigError> {
         self.finite(&key, values)?;
         match values.iter().find(|v| v.abs() > most) {
-            Some(value) => Err(self.value(key, value, format_args!("{most} or less either way"))),
+            Some(value) => Err(self.value(key, value, format_args!("at most {most}, and at least -{most}"))),
             None => Ok(()),
         }
     }

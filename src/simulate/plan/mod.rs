@@ -25,7 +25,7 @@ use super::picture::Renderer;
 use super::scene::Scene;
 use super::taught::taught;
 use super::video::{as_taken, as_video};
-use crate::calibrate::rig::share::{CatheterPose, share};
+use crate::calibrate::rig::share::{CatheterPose, of_coordinate, share};
 use crate::catheter::{CatheterError, Load, Shape, equilibrium};
 use crate::estimate::Estimate;
 use crate::rig::{Draft, Rig};
@@ -211,7 +211,6 @@ fn planned(
     let tangent = tangent.normalize();
     let end = line.at(mount.centres_m.last().copied().unwrap_or(mount.length_m)).0;
     let pose = CatheterPose { coil, tangent, tip: end };
-    let of_coordinate = |trace_root_m: f64| trace_root_m / 3.0_f64.sqrt();
     let calibration = share(draft, &[pose]).ok().map(|share| (share.theta_rad.0, of_coordinate(share.tip_m.0)));
     let base = rig.base.as_ref().map(|base| base.base_from_camera).ok_or(SceneError::NoBase)?;
     let t = base * tangent;

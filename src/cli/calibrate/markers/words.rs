@@ -57,6 +57,25 @@ fn describe_blur(done: &Teaching) -> String {
     rig.blurs_px().enumerate().map(of_view).collect::<Vec<_>>().join(", ")
 }
 
+/// A tube moves more the further it is from its clamp: so many times, and by so much, metres, is the wrong way round.
+const REVERSED: (f64, f64) = (2.0, 1e-3);
+
+/// Bands that were picked from the free end to the clamp.
+fn reversed(rig: &Rig, learned: &MarkersCalibration) -> Option<String> {
+    let ((first, first_m), (last, last_m)) =
+        (rig.markers.first().zip(learned.moves_m.first())?, rig.markers.last().zip(learned.moves_m.last())?);
+    (*first_m > REVERSED.0 * last_m && *first_m > REVERSED.1).then(|| {
+        format!(
+            "`{}`, the first band, moves by {:.1} mm (RMS), `{}`, the last, by {:.1} mm: were they picked in reverse? \
+             The first is nearest to the clamp; otherwise the base frame, and the sign of θ, are wrong",
+            first.name,
+            first_m * 1e3,
+            last.name,
+            last_m * 1e3
+        )
+    })
+}
+
 /// Measures and exposures that do not look as they should.
 pub(super) fn warnings(done: &Teaching) -> Vec<String> {
     let contradicted = done.outcome.iter().flat_map(|learned| &learned.contradicted);
@@ -65,6 +84,7 @@ pub(super) fn warnings(done: &Teaching) -> Vec<String> {
             format!("{measure}: check the given value, and the scale of the rig (the size of the board's squares)")
         })
         .collect();
+    all.extend(done.outcome.as_ref().ok().and_then(|learned| reversed(&done.rig, learned)));
     for (view, info) in done.views.iter().zip(&done.rig.views) {
         for (name, exposure) in view.classes.iter().zip(&view.exposure) {
             if let Some(advice) = exposure.and_then(|exposure| exposure.advice()) {
