@@ -85,6 +85,8 @@ pub(crate) mod vetoes;
 
 mod digits;
 
+mod text_file;
+
 mod varying_noise;
 mod whitening;
 

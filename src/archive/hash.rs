@@ -2,7 +2,7 @@
 
 use sha2::{Digest as _, Sha256};
 use std::fs::{self, File};
-use std::io::{self, Read};
+use std::io::{self, BufReader};
 use std::path::Path;
 
 /// Bytes read at a time: memory stays small for any recording.
@@ -10,7 +10,7 @@ const PIECE: usize = 1 << 20;
 
 /// SHA-256 of some bytes, in hexadecimal.
 pub(crate) fn of_bytes(bytes: &[u8]) -> String {
-    hexadecimal(&Sha256::digest(bytes))
+    format!("{:x}", Sha256::digest(bytes))
 }
 
 /// SHA-256 of a file.
@@ -18,17 +18,9 @@ pub(crate) fn of_bytes(bytes: &[u8]) -> String {
 /// # Errors
 /// The system's, when it cannot be read.
 pub(crate) fn of_file(path: &Path) -> io::Result<String> {
-    let mut file = File::open(path)?;
     let mut hash = Sha256::new();
-    let mut piece = vec![0; PIECE];
-    loop {
-        match file.read(&mut piece) {
-            Ok(0) => return Ok(hexadecimal(&hash.finalize())),
-            Ok(read) => hash.update(piece.get(..read).unwrap_or_default()),
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
+    io::copy(&mut BufReader::with_capacity(PIECE, File::open(path)?), &mut hash)?;
+    Ok(format!("{:x}", hash.finalize()))
 }
 
 /// SHA-256 of a recording: of the file, or of the names and hashes of all files in a folder of pictures, sorted by
@@ -61,7 +53,7 @@ pub(crate) fn of_recording(path: &Path) -> io::Result<String> {
         hash.update(of_file(&path.join(&name))?);
         hash.update([b'\n']);
     }
-    Ok(hexadecimal(&hash.finalize()))
+    Ok(format!("{:x}", hash.finalize()))
 }
 
 /// SHA-256 of this program as it runs, even if its file has been replaced since.
@@ -71,10 +63,6 @@ pub(crate) fn of_recording(path: &Path) -> io::Result<String> {
 pub(crate) fn of_program() -> io::Result<String> {
     let running = Path::new("/proc/self/exe");
     if running.exists() { of_file(running) } else { of_file(&std::env::current_exe()?) }
-}
-
-fn hexadecimal(digest: &[u8]) -> String {
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@
 
 use crate::optics::{Lens, NoRay, OpticalPath, Plane, Surface, Wall};
 use crate::rig::View;
-use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Unit, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, SVector, Unit, UnitQuaternion, Vector2, Vector3};
 use std::collections::BTreeMap;
 
 /// Half a step of a central difference: radians, metres, index. Truncation and rounding errors are both below 1e-9 of a
@@ -39,6 +39,12 @@ impl Geometry {
         let views = views.iter().map(view).collect::<Option<Vec<_>>>()?;
         Some(Self { lens, surfaces: surfaces.iter().map(|(name, s)| (name.clone(), *s)).collect(), views })
     }
+}
+
+/// The box of some points: its lowest and its highest corner; infinite the wrong way round without any.
+pub(crate) fn bounds<const D: usize>(points: impl IntoIterator<Item = SVector<f64, D>>) -> [SVector<f64, D>; 2] {
+    let none = [SVector::repeat(f64::INFINITY), SVector::repeat(f64::NEG_INFINITY)];
+    points.into_iter().fold(none, |[low, high], point| [low.inf(&point), high.sup(&point)])
 }
 
 /// One number that a calibration may change.

@@ -295,7 +295,12 @@ pub(crate) fn minimise<S, E>(
                 (at, here) = (moved, there);
                 damping = f64::max(damping * 0.1, least);
             }
-            _ => damping *= 10.0,
+            Ok(_) => damping *= 10.0,
+            // A short step at the edge of where there are equations is no minimum.
+            Err(_) => {
+                damping *= 10.0;
+                continue;
+            }
         }
         if converged {
             return Ok((at, here));

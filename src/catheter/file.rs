@@ -2,6 +2,7 @@
 
 use super::error::CatheterError;
 use super::model::{Bands, Catheter, CoilSet, Motion, Surroundings, Tube};
+use crate::text_file;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::Deserialize;
 use std::path::Path;
@@ -16,8 +17,7 @@ impl Catheter {
     /// # Errors
     /// [`CatheterError`] when it cannot be read, is no such file, or a value cannot be right.
     pub fn load(path: &Path) -> Result<Self, CatheterError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| CatheterError::Read { file: path.to_owned(), source })?;
+        let text = text_file::read(path).map_err(|source| CatheterError::Read { file: path.to_owned(), source })?;
         let raw: Raw = toml::from_str(&text).map_err(|e| {
             let line = e.span().map_or(1, |span| 1 + text.bytes().take(span.start).filter(|b| *b == b'\n').count());
             CatheterError::Syntax { file: path.to_owned(), line, message: e.message().to_owned() }

@@ -15,7 +15,7 @@ use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::collections::{BTreeSet, VecDeque};
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -75,6 +75,9 @@ impl Records {
     /// When it cannot be read, or is not an MCAP file.
     pub(crate) fn open(path: &Path) -> Result<Self, LogError> {
         let lost = |source| LogError::Io { path: path.to_owned(), source };
+        if path.is_dir() {
+            return Err(lost(io::Error::new(ErrorKind::IsADirectory, "it is a folder; give the log in it")));
+        }
         let mut file = File::open(path).map_err(lost)?;
         let length = file.seek(SeekFrom::End(0)).map_err(lost)?;
         file.rewind().map_err(lost)?;

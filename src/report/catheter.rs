@@ -167,7 +167,7 @@ fn header(kind: &str, title: &str) -> String {
 }
 
 fn whole(kind: &str, name: &str, body: String) -> String {
-    let footer = format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
+    let footer = page::footer("");
     page::page(&format!("{kind}: {name}"), &(body + &footer))
 }
 

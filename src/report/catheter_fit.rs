@@ -58,13 +58,13 @@ pub(crate) fn page(fit: &Fit, runs: &[(&Run, &Check, bool)], settings: &[(String
          <h2>Values</h2>\n<p>σ is that of the noise, larger where residuals are larger than the \
          noise.{widening}</p>\n{}{open}\
          <h2>Correlations</h2>\n<p>Near ±1 two values cannot be told apart.</p>\n{}{of_runs}<h2>Settings</h2>\n{}\
-         <footer>Catoptra {}. This file needs no network.</footer>\n",
+         {}",
         escape(&runs.iter().map(|(run, ..)| run.name.as_str()).collect::<Vec<_>>().join(", ")),
         cards.concat(),
         table(1, &["", "value", "σ", "unit"], &rows),
         table(1, &names, &correlations),
         facts_table(&facts),
-        env!("CARGO_PKG_VERSION"),
+        page::footer(""),
     );
     page::page("Fitted catheter", &body)
 }

@@ -95,7 +95,7 @@ pub(crate) fn page(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum, 
     ];
     facts.extend(info.settings.iter().cloned());
     body += &format!("<h2>What was made</h2>\n{}", facts_table(&facts));
-    body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
+    body += &page::footer("");
     page::page(&format!("{}: {}", info.kind, info.table), &body)
 }
 

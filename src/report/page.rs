@@ -98,6 +98,12 @@ pub(super) fn signed(value: f64, digits: usize) -> String {
     if zero { text.trim_start_matches(['+', '-']).to_owned() } else { minus(text) }
 }
 
+/// The foot of a page: who made it, and what the numbers are.
+pub(super) fn footer(numbers: &str) -> String {
+    let space = if numbers.is_empty() { "" } else { " " };
+    format!("<footer>Catoptra {}.{space}{numbers} This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"))
+}
+
 /// A page around `body`. `title` is text, `body` HTML.
 pub(super) fn page(title: &str, body: &str) -> String {
     parts(&escape(title), body).concat()

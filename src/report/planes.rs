@@ -51,7 +51,7 @@ pub(crate) fn page(found: &Planes, coils: &[String], records: &[&Motion]) -> Str
     let rows: Vec<Vec<String>> =
         found.tried.iter().map(|(order, cost)| vec![order.to_string(), format!("{cost:.4}")]).collect();
     body += &table(0, &["order", what], &rows);
-    body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
+    body += &page::footer("");
     page::page(&format!("Both planes of {name}"), &body)
 }
 

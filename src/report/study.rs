@@ -76,7 +76,7 @@ pub(crate) fn page(
     body += &figure("plot-rms", &by_run(study, "largest RMS residual (px)", 4, Measured::largest_rms_px), 320, false);
     body += &all(study, folder);
     body += &format!("<h2>What was made</h2>\n{}", facts_table(settings));
-    body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
+    body += &page::footer("");
     page::page(title, &body)
 }
 

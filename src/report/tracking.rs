@@ -31,11 +31,7 @@ pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally, pictures: &
         body += &views(course, tally);
     }
     body += &facts(info, course, tally);
-    body += &format!(
-        "<footer>Catoptra {}. Lengths in mm, angles in degrees, times in seconds of the camera's clock. \
-         This file needs no network.</footer>\n",
-        env!("CARGO_PKG_VERSION")
-    );
+    body += &page::footer("Lengths in mm, angles in degrees, times in seconds of the camera's clock.");
     (format!("Tracking of {}", info.source), body)
 }
 

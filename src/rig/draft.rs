@@ -2,6 +2,7 @@
 
 use super::{Camera, Draft, Marker, Rig, RigError, View, file, validate, write};
 use crate::optics::Lens;
+use crate::text_file;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -100,8 +101,7 @@ impl Draft {
     /// # Errors
     /// [`RigError`] with the file, the key, its value and what would be right.
     pub fn load(path: &Path) -> Result<Self, RigError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| RigError::Read { file: path.to_path_buf(), source })?;
+        let text = text_file::read(path).map_err(|source| RigError::Read { file: path.to_path_buf(), source })?;
         Self::from_toml_str(&text, path)
     }
 

@@ -114,7 +114,10 @@ mod tests {
     #[test]
     fn what_is_wrong_is_told_with_its_place() {
         let message = |text: &str, name: &str| read(text, &[name]).unwrap_err();
-        assert_eq!(message("time,input\n0,1\n", "inpt"), "data.csv: has no column `inpt`; did you mean `input`?");
+        assert_eq!(
+            message("time,input\n0,1\n", "inpt"),
+            "data.csv: has no column `inpt`; it has time, input: did you mean `input`?"
+        );
         assert_eq!(message("time,input\n0,1\n", "voltage"), "data.csv: has no column `voltage`; it has time, input");
         assert_eq!(message("0 1\n1 2\n", "3"), "data.csv: has no column 3; columns are numbered from 1 to 2");
         assert_eq!(message("0 1\n", "0"), "data.csv: has no column 0; columns are numbered from 1 to 2");

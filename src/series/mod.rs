@@ -125,6 +125,10 @@ impl Recording {
     /// When the file cannot be read or is neither, or the vetoes beside it cannot be read. A file without a frame is
     /// not an error.
     pub fn read(path: &Path) -> Result<Self, SeriesError> {
+        if path.is_dir() {
+            let problem = "is a folder; give the log or table in it".to_owned();
+            return Err(SeriesError::Content { path: path.to_owned(), problem });
+        }
         let mut recording = Self::as_measured(path)?;
         let vetoes = Vetoes::beside(path)?;
         recording.leave_out(&vetoes);

@@ -8,6 +8,7 @@ use crate::csv_lines::{Lines, open_quote};
 use crate::plural::plural;
 use crate::rig::nearest;
 use crate::source::times::parse_seconds_ns;
+use crate::text_file::is_utf_16;
 use csv::{ReaderBuilder, Trim};
 use std::fs::File;
 use std::io::{self, Read as _};
@@ -214,7 +215,9 @@ impl Sheet {
 pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
     let content = |problem: &str| SeriesError::Content { path: path.to_owned(), problem: problem.to_owned() };
     let bytes = match text_bytes(path) {
-        Ok(bytes) => bytes.ok_or_else(|| content("is no text; expected a table of numbers (CSV)"))?,
+        Ok(Ok(bytes)) => bytes,
+        Ok(Err(begin)) if is_utf_16(&begin) => return Err(content("is text in UTF-16; save it as UTF-8")),
+        Ok(Err(_)) => return Err(content("is no text; expected a table of numbers (CSV)")),
         Err(source) => return Err(SeriesError::Io { path: path.to_owned(), source }),
     };
     if bytes.len() as u64 > LARGEST {
@@ -223,16 +226,16 @@ pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
     String::from_utf8(bytes).map_err(|_| content("is no text; expected a table of numbers (CSV)"))
 }
 
-/// The file's bytes, at most one more than [`LARGEST`]; `None` when its beginning is not text.
-fn text_bytes(path: &Path) -> io::Result<Option<Vec<u8>>> {
+/// The file's bytes, at most one more than [`LARGEST`]; its beginning alone when that is not text.
+fn text_bytes(path: &Path) -> io::Result<Result<Vec<u8>, Vec<u8>>> {
     let mut file = File::open(path)?;
     let mut bytes = Vec::new();
     file.by_ref().take(BEGINNING).read_to_end(&mut bytes)?;
     if bytes.contains(&0) {
-        return Ok(None);
+        return Ok(Err(bytes));
     }
     file.take(LARGEST - BEGINNING + 1).read_to_end(&mut bytes)?;
-    Ok(Some(bytes))
+    Ok(Ok(bytes))
 }
 
 /// Rows of RFC 4180, with this separator.

@@ -13,6 +13,7 @@
 
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{NoSolution, Solution};
+use crate::calibrate::geometry::bounds;
 use crate::calibrate::least_squares::sigmas;
 use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::held_out::{HeldOut, LengthErrors};
@@ -151,10 +152,7 @@ pub(crate) fn residuals(done: &RigCalibration, view: usize) -> Vec<(Point2<f64>,
 
 /// Means over squares of the picture with enough corners.
 pub(crate) fn neighbourhoods(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Vec<Neighbourhood> {
-    let bound = |pick: fn(f64, f64) -> f64, start: f64| {
-        residuals.iter().fold(Vector2::repeat(start), |b, (p, _)| b.zip_map(&p.coords, pick))
-    };
-    let (low, high) = (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY));
+    let [low, high] = bounds(residuals.iter().map(|(p, _)| p.coords));
     let side = ((high - low).max() / NEIGHBOURHOODS_ALONG).max(1.0);
     let mut squares = BTreeMap::new();
     for (place, residual) in residuals {

@@ -17,7 +17,7 @@
 use crate::calibrate::bundle::pose::by_pose;
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{Corner, Solution};
-use crate::calibrate::geometry::{Geometry, Parameter, Projector};
+use crate::calibrate::geometry::{Geometry, Parameter, Projector, bounds};
 use crate::calibrate::least_squares::{Loss, Observations, Row};
 use crate::median::upper_median_and_largest;
 use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3xX, Point3, Translation3, UnitQuaternion, Vector3};
@@ -115,7 +115,7 @@ struct Volume {
 /// `None` when two views see fewer than four points of the volume.
 pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -> Option<Verdict> {
     let seen: Vec<Point3<f64>> = corners.iter().map(|c| solution.poses[c.picture] * c.place).collect();
-    let filled = bounds(&seen);
+    let filled = bounds(seen.iter().map(|place| place.coords));
     let volume = Volume::of(&solution.geometry, &solution.free, &grid(filled))?;
     let medians = |covariance: &DMatrix<f64>| {
         let median = |k: &DMatrix<f64>| upper_median_and_largest(spreads(k, covariance)).0;
@@ -153,25 +153,11 @@ pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -
     })
 }
 
-/// The box of some points: its lowest and its highest corner.
-fn bounds(points: &[Point3<f64>]) -> [Vector3<f64>; 2] {
-    let bound = |pick: fn(f64, f64) -> f64, start: f64| {
-        points.iter().fold(Vector3::repeat(start), |b, p| b.zip_map(&p.coords, pick))
-    };
-    [bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY)]
-}
-
 /// A grid over a box, a tenth of each side within it: its corners were never covered.
 fn grid([low, high]: [Vector3<f64>; 2]) -> Vec<Point3<f64>> {
     let part = |i: usize| 0.1 + 0.8 * i as f64 / (PLACES - 1) as f64;
-    let axis = 0..PLACES;
-    axis.clone()
-        .flat_map(|x| {
-            axis.clone().flat_map({
-                let axis = axis.clone();
-                move |y| axis.clone().map(move |z| (x, y, z))
-            })
-        })
+    (0..PLACES.pow(3))
+        .map(|i| (i / PLACES.pow(2), i / PLACES % PLACES, i % PLACES))
         .map(|(x, y, z)| Point3::from(low + (high - low).component_mul(&Vector3::new(part(x), part(y), part(z)))))
         .collect()
 }
@@ -373,9 +359,9 @@ mod tests {
 
     #[test]
     fn errors_are_judged_within_the_box_of_the_boards() {
-        let box_m = bounds(&[Point3::new(-1.0, 0.0, 2.0), Point3::new(0.0, 3.0, 1.0), Point3::new(1.0, 1.0, 1.5)]);
+        let box_m = bounds([Vector3::new(-1.0, 0.0, 2.0), Vector3::new(0.0, 3.0, 1.0), Vector3::new(1.0, 1.0, 1.5)]);
         assert_eq!(box_m, [Vector3::new(-1.0, 0.0, 1.0), Vector3::new(1.0, 3.0, 2.0)]);
-        let [low, high] = bounds(&grid(box_m));
+        let [low, high] = bounds(grid(box_m).iter().map(|place| place.coords));
         assert!((low - Vector3::new(-0.8, 0.3, 1.1)).norm() < 1e-12, "{low}");
         assert!((high - Vector3::new(0.8, 2.7, 1.9)).norm() < 1e-12, "{high}");
     }

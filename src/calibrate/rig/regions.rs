@@ -1,6 +1,7 @@
 //! Where in the picture each view is: between the boards of one view and those of the next.
 
 use crate::calibrate::bundle::Corner;
+use crate::calibrate::geometry::bounds;
 use crate::optics::OpticalPath;
 use crate::rig::polygon;
 use nalgebra::{Point2, Rotation2, Vector2};
@@ -24,10 +25,7 @@ pub(crate) fn regions(corners: &[Corner], views: &[OpticalPath], size_px: [u32; 
         .iter()
         .enumerate()
         .map(|(view, optics)| {
-            let bound = |pick: fn(f64, f64) -> f64, start: f64| {
-                of_view(view).fold(Vector2::repeat(start), |b, p| b.zip_map(&p, pick))
-            };
-            let (low, high) = (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY));
+            let [low, high] = bounds(of_view(view));
             let beyond = (high - low) * BEYOND;
             let (low, high) = (low - beyond, high + beyond);
             let (x0, y0) = (low.x.max(-0.5), low.y.max(-0.5));
@@ -70,10 +68,7 @@ fn visible_part(
 
 /// Pixels of a region, [`STEP_PX`] apart.
 fn inside(region: &[Point2<f64>]) -> impl Iterator<Item = Point2<f64>> {
-    let bound = |pick: fn(f64, f64) -> f64, start: f64| {
-        region.iter().fold(Vector2::repeat(start), |b, p| b.zip_map(&p.coords, pick))
-    };
-    let (low, high) = (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY));
+    let [low, high] = bounds(region.iter().map(|p| p.coords));
     let steps = ((high - low) / STEP_PX).map(|count| count.max(0.0) as u32);
     let pixel = move |i: u32, j: u32| Point2::from(low + Vector2::new(f64::from(i), f64::from(j)) * STEP_PX);
     let all = (0..=steps.y).flat_map(move |j| (0..=steps.x).map(move |i| pixel(i, j)));

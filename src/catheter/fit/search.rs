@@ -100,7 +100,8 @@ pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: 
         }
         let gradient = -by.tr_mul(&residuals);
         let cost = residuals.norm_squared();
-        let mut moved = false;
+        // At the edge of where the model has residuals, short steps are no sign of a minimum.
+        let (mut moved, mut outside) = (false, false);
         while damping < 1e8 {
             // What nothing is known of stays where it is.
             let mut matrix = information.clone();
@@ -110,10 +111,12 @@ pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: 
             let Some(step) = matrix.cholesky().map(|matrix| matrix.solve(&gradient)) else { break };
             let predicted_decrease = step.dot(&gradient);
             if predicted_decrease < COST_TOLERANCE * f64::max(1.0, cost / residuals.len() as f64) {
-                return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: true });
+                return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: !outside });
             }
             let next = &at + step.component_mul(&open);
-            match model.at(&next).filter(|next| next.norm_squared() < cost) {
+            let there = model.at(&next);
+            outside = there.is_none();
+            match there.filter(|there| there.norm_squared() < cost) {
                 Some(better) => {
                     (at, residuals, moved) = (next, better, true);
                     damping = f64::max(damping * 0.1, 1e-9);
@@ -124,7 +127,7 @@ pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: 
         }
         if !moved {
             // Rounding of the model: nowhere is lower.
-            return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: true });
+            return Some(Found { coordinates: at, residuals, jacobian: by, information, settled: !outside });
         }
         steps += 1;
     }

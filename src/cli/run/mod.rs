@@ -18,6 +18,7 @@ use crate::rig::check::{Warning, check};
 use crate::rig::{Rig, RigError, View};
 use crate::sink::{CsvSink, McapSink, OutputFrame, OverlaySink, PictureCount, PictureVideo, Sink, SinkError};
 use crate::source::times::seconds;
+use crate::text_file;
 use folder::{Files, PICTURES};
 use std::path::Path;
 use std::sync::Arc;
@@ -32,7 +33,7 @@ pub(super) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
 
 /// The rig in `file`, and its text.
 pub(super) fn load_rig(file: &Path, reference: Reference) -> Result<(Rig, String), Failure> {
-    let text = std::fs::read_to_string(file).map_err(|source| RigError::Read { file: file.to_owned(), source })?;
+    let text = text_file::read(file).map_err(|source| RigError::Read { file: file.to_owned(), source })?;
     parse_rig(file, text, reference)
 }
 

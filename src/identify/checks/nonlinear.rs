@@ -348,7 +348,6 @@ impl<R: Fn(usize, usize) -> Vec<f64>> Regression<R> {
         for (k, t, value) in self.rows(signal).filter(|(.., value)| !value.is_nan()) {
             let modelled: f64 = (self.regressors)(k, t).iter().zip(parameters.iter()).map(|(r, p)| r * p).sum();
             if let Some(left) = left.get_mut(k).and_then(|left| left.get_mut(t)) {
-                // NaN stays NaN.
                 *left = value - modelled;
             }
         }

@@ -1,5 +1,6 @@
 //! The coil in the field and the pendulum that hangs from it: Eq. 6 of the paper, and the file `plant.toml`.
 
+use crate::text_file;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -32,7 +33,7 @@ impl Plant {
     /// When it cannot be read, is not such a file, or a value cannot be right.
     pub fn load(path: &Path) -> Result<Self, PlantError> {
         let file = || path.to_owned();
-        let text = std::fs::read_to_string(path).map_err(|source| PlantError::Read { file: file(), source })?;
+        let text = text_file::read(path).map_err(|source| PlantError::Read { file: file(), source })?;
         let raw: Raw = toml::from_str(&text).map_err(|e| {
             let line = e.span().map_or(1, |span| 1 + text.bytes().take(span.start).filter(|b| *b == b'\n').count());
             PlantError::Syntax { file: file(), line, message: e.message().to_owned() }

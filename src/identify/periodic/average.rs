@@ -91,11 +91,17 @@ pub struct Averaged {
 pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip: usize) -> Result<Averaged, String> {
     let exact = repeats_s / period_s;
     let samples = exact.round().max(0.0) as usize;
-    if samples < 8 || (exact - samples as f64).abs() > WHOLE_TOLERANCE {
+    if samples < 8 {
         return Err(format!(
-            "a period of {repeats_s} s is {exact:.2} samples of {period_s:.6} s, and must be a whole number of them, 8 \
-             at least: --resample --period {:.8} makes it one",
-            repeats_s / exact.round().max(8.0)
+            "a period of {repeats_s} s is {exact:.2} samples of {period_s:.6} s, and must be 8 at least: is it what the \
+             excitation repeats after?"
+        ));
+    }
+    if (exact - samples as f64).abs() > WHOLE_TOLERANCE {
+        return Err(format!(
+            "a period of {repeats_s} s is {exact:.2} samples of {period_s:.6} s, and must be a whole number of them: \
+             --resample --period {:.8} makes it one",
+            repeats_s / exact.round()
         ));
     }
     // 1. whole periods, by their place on the record's grid

@@ -199,7 +199,7 @@ fn periods_that_do_not_fit_are_refused_in_words() {
     let broken = of(4.004, 1);
     assert!(broken.contains("is 240.24 samples") && broken.contains("--resample --period 0.01668333"), "{broken}");
     let few = of(4.0, 5);
-    assert!(few.contains("3 whole periods of 4 s are left behind the first 5"), "{few}");
+    assert!(few.contains("3 whole periods of 4 s can be used (5 at the start and 0 with holes are left out)"), "{few}");
 }
 
 /// Any input, period after period, and the response of the system.

@@ -14,12 +14,13 @@ use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, signed, table, trouble};
 use crate::calibrate::board::Grey;
 use crate::calibrate::bundle::NoSolution;
+use crate::calibrate::geometry::bounds;
 use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::diagnostics::{self, Diagnostic, diagnose};
 use crate::calibrate::rig::expected_error::{Expected, Suggestion, Verdict};
 use crate::calibrate::rig::held_out::{HeldOut, LengthErrors};
 use crate::plural::plural;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 use words::{along, degrees, exact_mm, in_words, mm};
 
 /// Suggestions shown of each kind.
@@ -64,10 +65,9 @@ pub(crate) fn page(
     body += &parameters(done);
     body += &left_out(info, done);
     body += &facts(info, done);
-    body += &format!(
-        "<footer>Catoptra {}. Errors are 1σ: of places, the root mean square of the distance in space. Camera frame: x \
-         right, y down, z forward. This file needs no network.</footer>\n",
-        env!("CARGO_PKG_VERSION")
+    body += &page::footer(
+        "Errors are 1σ: of places, the root mean square of the distance in space. Camera frame: x right, y down, z \
+         forward.",
     );
     page::page(&format!("Calibration of {}", info.rig), &body)
 }
@@ -226,10 +226,7 @@ fn over_the_volume(done: &RigCalibration, verdict: &Verdict) -> String {
 
 /// The corners of each board, camera frame.
 fn outlines(done: &RigCalibration) -> Vec<Vec<Point3<f64>>> {
-    let bound = |pick: fn(f64, f64) -> f64, start: f64| {
-        done.corners.iter().fold(Vector3::repeat(start), |b, c| b.zip_map(&c.place.coords, pick))
-    };
-    let (low, high) = (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY));
+    let [low, high] = bounds(done.corners.iter().map(|corner| corner.place.coords));
     let corners = [(low.x, low.y), (high.x, low.y), (high.x, high.y), (low.x, high.y)];
     let outline = |pose: &nalgebra::Isometry3<f64>| corners.map(|(x, y)| pose * Point3::new(x, y, 0.0)).to_vec();
     done.solution.poses.iter().map(outline).collect()

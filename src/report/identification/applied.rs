@@ -46,7 +46,7 @@ pub(crate) fn applied_page(data: &Data, done: &Applied, saved: &Saved, provenanc
     body += "<h2>Origin</h2>\n";
     body += &records_table(provenance);
     body += &facts_table(&facts_rows(provenance, &done.models));
-    body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
+    body += &page::footer("");
     page::page(&format!("{} on {}", saved.name, provenance.title), &body)
 }
 

@@ -43,7 +43,7 @@ pub(crate) fn page(data: &Data, done: &Identification, provenance: &Provenance) 
     body += &reduction(done);
     body += &residuals(done);
     body += &facts(done, provenance);
-    body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
+    body += &page::footer("");
     page::page(&format!("Dynamics of {}", provenance.title), &body)
 }
 

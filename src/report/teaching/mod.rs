@@ -46,10 +46,7 @@ pub(crate) fn page(info: &TeachingInfo, done: &Teaching) -> String {
     body += &exposure(done);
     body += "<h2>This run</h2>\n";
     body += &facts_table(&info.settings);
-    body += &format!(
-        "<footer>Catoptra {}. Pixels count from the centre of the top-left one. This file needs no network.</footer>\n",
-        env!("CARGO_PKG_VERSION")
-    );
+    body += &page::footer("Pixels count from the centre of the top-left one.");
     page::page(&format!("Markers of {}", info.rig), &body)
 }
 

@@ -64,10 +64,8 @@ pub(crate) fn page(validation: &Validation, settings: &Settings, model: Option<&
     body += &paths(validation);
     body += &frames(validation);
     body += &facts(validation, settings);
-    body += &format!(
-        "<footer>Catoptra {}. Errors are root mean squares of distances in space, base frame. Phase is negative for a \
-         response that is late. This file needs no network.</footer>\n",
-        env!("CARGO_PKG_VERSION")
+    body += &page::footer(
+        "Errors are root mean squares of distances in space, base frame. Phase is negative for a response that is late.",
     );
     page::page(&format!("Validation along {}", validation.name()), &body)
 }

@@ -62,7 +62,7 @@ fn paths_that_are_none_are_refused() {
     assert_eq!(line, "path.csv: its points lie on a line or are all the same: a turn about it would be open");
     assert_eq!(
         read("x_mm,y_mm\n0,0\n", None, None).unwrap_err(),
-        "path.csv: has no column `z_mm`; did you mean `x_mm`?"
+        "path.csv: has no column `z_mm`; it has x_mm, y_mm: did you mean `x_mm`?"
     );
     assert!(
         read("x_mm,y_mm,z_mm\n0,0,\n", None, None)

@@ -1,0 +1,40 @@
+//! Text files, and what is wrong with those that are none.
+
+use std::io::{self, ErrorKind};
+use std::path::Path;
+
+/// What programs for tables call Unicode.
+const UTF_16: &str = "it is text in UTF-16: save it as UTF-8";
+
+/// The text of a file in UTF-8.
+///
+/// # Errors
+/// The system's; [`ErrorKind::InvalidData`] when it is no such text.
+pub(crate) fn read(path: &Path) -> io::Result<String> {
+    let bytes = std::fs::read(path)?;
+    let utf_16 = is_utf_16(&bytes);
+    let why = if utf_16 { UTF_16 } else { "it is no text in UTF-8" };
+    String::from_utf8(bytes).map_err(|_| io::Error::new(ErrorKind::InvalidData, why))
+}
+
+/// Whether bytes begin as text in UTF-16 does.
+pub(crate) fn is_utf_16(bytes: &[u8]) -> bool {
+    bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_in_another_encoding_is_told() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let of = |bytes: &[u8]| {
+            std::fs::write(file.path(), bytes).unwrap();
+            read(file.path()).map_err(|error| error.to_string())
+        };
+        assert_eq!(of("θ".as_bytes()).unwrap(), "θ");
+        assert_eq!(of(&[0xff, 0xfe, b'a', 0]).unwrap_err(), UTF_16);
+        assert!(of(b"caf\xe9").unwrap_err().contains("UTF-8"));
+    }
+}
