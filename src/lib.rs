@@ -87,6 +87,8 @@ mod digits;
 
 mod text_file;
 
+mod normal;
+
 mod varying_noise;
 mod whitening;
 

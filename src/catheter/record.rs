@@ -5,8 +5,8 @@ use super::dynamics::{Accuracy, Moment, Simulation};
 use super::error::CatheterError;
 use super::load::Load;
 use super::model::Catheter;
+use crate::normal::normal;
 use nalgebra::{Point3, Unit, Vector3};
-use std::f64::consts::TAU;
 
 /// What was seen at one time; axes of the base frame, origin at the clamp.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,10 +69,8 @@ pub fn seen(moments: &[Moment], noise: Noise, seed: u64) -> Vec<Sighting> {
     let mut spread = fastrand::Rng::with_seed(seed);
     let mut random = fastrand::Rng::with_seed(spread.u64(..));
     let mut gone = fastrand::Rng::with_seed(spread.u64(..));
-    // Box and Muller, doi:10.1214/aoms/1177706645.
-    let mut normal = move || (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (TAU * random.f64()).cos();
     let mut look = |moment: &Moment| {
-        let mut vector = || Vector3::new(normal(), normal(), normal());
+        let mut vector = || Vector3::from_fn(|_, _| normal(&mut random));
         let (coil, tip) = (moment.coil + vector() * noise.point_m, moment.tip + vector() * noise.point_m);
         let aside = vector() * noise.angle_rad;
         let tangent = Unit::new_normalize(moment.tangent + aside - moment.tangent * moment.tangent.dot(&aside));

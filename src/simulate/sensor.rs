@@ -1,7 +1,7 @@
 //! From light to bytes: noise, the sensor's mosaic, and how light is stored.
 
 use super::light::Table;
-use std::f64::consts::TAU;
+use crate::normal::normal;
 
 /// A camera's sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,8 +40,7 @@ impl Reader {
     pub(super) fn new(sensor: Sensor) -> Self {
         // Quantiles of the normal distribution would do; numbers drawn once are simpler, made to have variance 1.
         let mut random = fastrand::Rng::with_seed(0x006c_6967_6874);
-        let drawn: Vec<f64> =
-            (0..NORMALS / 2).map(|_| (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (TAU * random.f64()).cos()).collect();
+        let drawn: Vec<f64> = (0..NORMALS / 2).map(|_| normal(&mut random)).collect();
         let sd = (drawn.iter().map(|v| v * v).sum::<f64>() / drawn.len() as f64).sqrt();
         // Each with its opposite: their mean is 0.
         let normals = drawn.iter().flat_map(|v| [(v / sd) as f32, (-v / sd) as f32]).collect();

@@ -1,5 +1,7 @@
 //! When frames are exposed: at a rate, with jitter, some of them lost.
 
+use crate::normal::normal;
+
 /// A camera's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Timing {
@@ -32,7 +34,7 @@ impl Timing {
         let mut random = fastrand::Rng::with_seed(self.seed ^ 0x7469_6d65);
         let mut gap = 0;
         (0..frames).filter_map(move |k| {
-            let normal = (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (std::f64::consts::TAU * random.f64()).cos();
+            let normal = normal(&mut random);
             // Never as much as half the interval: times rise.
             let most_s = 0.4 / self.rate_hz;
             let off_s = (self.jitter_s * normal.clamp(-CUT.0, CUT.0) / CUT.1).clamp(-most_s, most_s);

@@ -12,10 +12,10 @@ use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::calibrate::rig::share::recorded_geometry;
+use crate::normal::normal;
 use crate::optics::Surface;
 use crate::rig::{Draft, Rig};
 use nalgebra::Point2;
-use std::f64::consts::TAU;
 
 /// Pictures of each kind, the board, and how well its corners are found, pixels.
 const PICTURES: usize = 14;
@@ -59,8 +59,7 @@ fn expected(draft: &Draft, rig: &Rig, mount: &Mount, rest: &CentreLine) -> Resul
                 let path = geometry.path(*view);
                 for place in &places {
                     let at = path.project(&(pose * place)).map_err(|e| e.to_string())?;
-                    let mut noise =
-                        || CORNER_SD_PX * (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (TAU * random.f64()).cos();
+                    let mut noise = || CORNER_SD_PX * normal(&mut random);
                     let pixel = Point2::new(at.x + noise(), at.y + noise());
                     corners.push(Corner { picture: poses.len(), view: *view, place: *place, pixel, relative_sd: 1.0 });
                 }
