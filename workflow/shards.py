@@ -6,6 +6,7 @@
 """
 import argparse
 import csv
+import io
 import json
 import os
 import sys
@@ -26,17 +27,20 @@ def rows(manifest):
         raise Wrong(f"{manifest}:{line}: is not text in UTF-8") from None
     first = text.split("\n", 1)[0]
     delimiter = "\t" if "\t" in first or "," not in first else ","
-    reader = csv.reader(text.splitlines(), delimiter=delimiter)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     header = [cell.strip() for cell in next(reader, [])]
     if "recording" not in header:
         raise Wrong(f"{manifest}:1: no column `recording`; the first line names the columns")
     folder = os.path.dirname(os.path.abspath(manifest))
     seen, found = {}, []
+    last = reader.line_num
     for cells in reader:
+        line, last = last + 1, reader.line_num
+        if any("\n" in cell or "\r" in cell for cell in cells):
+            raise Wrong(f'{manifest}:{line}: a cell begins with a " that is not closed in this line')
         cells = [cell.strip() for cell in cells]
         if not any(cells):
             continue
-        line = reader.line_num
         if len(cells) != len(header):
             raise Wrong(f"{manifest}:{line}: {len(cells)} cells, the first line names {len(header)} columns")
         row = dict(zip(header, cells))

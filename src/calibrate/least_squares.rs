@@ -1,8 +1,8 @@
 //! Least squares with an arrow-shaped matrix: unknowns shared by all observations, and blocks of unknowns coupled only
 //! to these.
 //!
-//! In: a start, the equations of its [`Observations`], and the state after a [`Step`]. Out: the minimum of the cost, with the equations
-//! there, whose inverse is the covariance of the shared unknowns.
+//! In: a start, the equations of its [`Observations`], and the state after a [`Step`]. Out: the minimum of the cost,
+//! with the equations there, whose inverse is the covariance of the shared unknowns.
 //!
 //! Minimised is Σ ρ(|r|) over all observations, r their residuals in standard deviations, ρ a square or Huber's, by
 //! Levenberg-Marquardt. The blocks are eliminated (Schur complement), so the time grows linearly with their number.
@@ -280,6 +280,9 @@ pub(crate) fn minimise<S, E>(
     let mut here = equations(&start).map_err(SearchError::Start)?;
     let mut at = start;
     let (mut damping, least, most) = DAMPING;
+    // Whether the last step that was tried led to where there are no equations: short steps beside that edge are no
+    // sign of a minimum.
+    let mut outside = false;
     for _ in 0..end.max_steps {
         let Some(step) = here.step(damping) else {
             if damping > most {
@@ -294,16 +297,20 @@ pub(crate) fn minimise<S, E>(
             Ok((there, moved)) if there.cost <= here.cost => {
                 (at, here) = (moved, there);
                 damping = f64::max(damping * 0.1, least);
+                outside &= converged;
             }
-            Ok(_) => damping *= 10.0,
-            // A short step at the edge of where there are equations is no minimum.
+            Ok(_) => {
+                damping *= 10.0;
+                outside = false;
+            }
             Err(_) => {
                 damping *= 10.0;
+                outside = true;
                 continue;
             }
         }
         if converged {
-            return Ok((at, here));
+            return if outside { Err(SearchError::NotConverged) } else { Ok((at, here)) };
         }
     }
     Err(SearchError::NotConverged)
@@ -447,6 +454,17 @@ mod tests {
         };
         let (found, _) = minimise(END, 0.5, root, |x, step| Ok(x + step.shared[0])).unwrap();
         assert!((found - 0.01).abs() < 1e-9, "{found}");
+    }
+
+    #[test]
+    fn the_edge_of_where_there_are_equations_is_no_minimum() {
+        let up_to_edge = |x: &f64| {
+            let mut observations = Observations::new(1, []);
+            observations.add(None, &[Row { residual: -1.0 - x, shared: &[1.0], own: &[] }], Loss::Squared);
+            if *x < 0.0 { Err("beyond") } else { Ok(observations.equations()) }
+        };
+        let error = minimise(END, 0.5, up_to_edge, |x, step| Ok(x + step.shared[0])).unwrap_err();
+        assert_eq!(error, SearchError::NotConverged);
     }
 
     #[test]

@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
             Repaired::WasWhole => output::print(&format!("{}: is complete, nothing to repair\n", file.display())),
             Repaired::Mended { messages, unknown, condition, kept_as } => {
                 let mut text = format!("{}: repaired, {} recovered\n", file.display(), plural(messages, "message"));
-                damage(&mut text, &condition)
+                damage(&mut text, &condition, &Info::read(file).map_err(failure)?)
                     .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the log: {e}")))?;
                 match unknown {
                     0 => {}
@@ -85,12 +85,15 @@ fn failure(error: LogError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// Damage of a log, one line each.
-fn damage(out: &mut String, condition: &Condition) -> fmt::Result {
+/// Damage of a log, one line each, with times of the camera.
+fn damage(out: &mut String, condition: &Condition, info: &Info) -> fmt::Result {
     const LINES: usize = 10;
+    // Messages of a live log have the host's.
+    let shift_ns =
+        info.span_ns.zip(info.host_span_ns).map_or(0, |((camera, _), (host, _))| camera.saturating_sub(host));
     for damage in condition.damage.iter().take(LINES) {
         write!(out, "  damaged at byte {}: {}", damage.at, without_control_characters(&damage.what))?;
-        let s = |ns: u64| seconds(i64::try_from(ns).unwrap_or(i64::MAX));
+        let s = |ns: u64| seconds(i64::try_from(ns).unwrap_or(i64::MAX).saturating_add(shift_ns));
         match damage.between_ns {
             (Some(before), Some(after)) => writeln!(out, " (between {:.3} s and {:.3} s)", s(before), s(after))?,
             (Some(before), None) => writeln!(out, " (after {:.3} s)", s(before))?,
@@ -131,7 +134,7 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
             writeln!(out, "  {}", without_control_characters(&lost))?;
         }
     } else {
-        damage(out, &info.condition)?;
+        damage(out, &info.condition, info)?;
         writeln!(out, "  `catoptra log repair` restores it")?;
     }
     if let Some((first, last)) = info.span_ns {

@@ -140,7 +140,8 @@ fn copy(from: &Path, to: File, topics: &Topics, lost: Option<String>) -> Result<
             Record::Message { header, data } => {
                 messages += 1;
                 let began_ns = chunk_began_ns.get_or_insert(header.log_time);
-                if u128::from(header.log_time.abs_diff(*began_ns)) >= CHUNK_SPAN.as_nanos() {
+                // Another program's topics may each have their own clock.
+                if u128::from(header.log_time.saturating_sub(*began_ns)) >= CHUNK_SPAN.as_nanos() {
                     *began_ns = header.log_time;
                     writer.flush().map_err(failed)?;
                 }

@@ -95,24 +95,21 @@ impl Desk {
     /// The recording at a path, opened when it is not.
     pub(super) fn reel(&self, text: &str) -> Result<Arc<Reel>, Refusal> {
         self.verbs()?;
-        self.reel_at(&self.places.existing(text)?, None)
+        let path = self.places.existing(text)?;
+        // By number, a picture is the same at any rate.
+        let open = reused(&mut self.reels.lock().unwrap_or_else(PoisonError::into_inner), |reel| reel.path() == path);
+        open.map_or_else(|| self.reel_at(&path, None), Ok)
     }
 
-    /// The same by its whole path. `rate`: the one that it was tracked with; where there is none, and it has no times,
-    /// that of the command line.
+    /// The recording at a whole path, with this rate; with none, that of the command line if it has no times.
     pub(super) fn reel_at(&self, path: &Path, rate: Option<FrameRate>) -> Result<Arc<Reel>, Refusal> {
         // Held while it is opened: two requests open it once.
         let mut reels = self.reels.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_asked = |reel: &Arc<Reel>| reel.path() == path && (rate.is_none() || reel.stated_rate() == rate);
-        // The one that was used last.
-        if let Some(at) = reels.iter().rposition(is_asked) {
-            let reel = reels.remove(at);
-            if reel.is_current() {
-                reels.push(Arc::clone(&reel));
-                return Ok(reel);
-            }
+        if let Some(reel) = reused(&mut reels, |reel| reel.path() == path && reel.asked_rate() == rate) {
+            return Ok(reel);
         }
-        let open = |stated_rate| Reel::open(path, SourceOptions { stated_rate, ..SourceOptions::default() });
+        let options = |stated_rate| SourceOptions { stated_rate, ..SourceOptions::default() };
+        let open = |stated_rate| Reel::open(path, options(stated_rate), rate);
         let reel = open(rate).or_else(|refusal| match self.start.fps {
             Some(stated) if rate.is_none() => open(Some(stated)).map_err(|_| refusal),
             _ => Err(refusal),
@@ -123,4 +120,13 @@ impl Desk {
         reels.push(Arc::clone(&reel));
         Ok(reel)
     }
+}
+
+/// One of the reels, the last used, if it is still as its recording is: it is the last used then.
+fn reused(reels: &mut Vec<Arc<Reel>>, is_asked: impl Fn(&Reel) -> bool) -> Option<Arc<Reel>> {
+    let reel = reels.remove(reels.iter().rposition(|reel| is_asked(reel))?);
+    reel.is_current().then(|| {
+        reels.push(Arc::clone(&reel));
+        reel
+    })
 }

@@ -28,6 +28,8 @@ pub(super) struct Reel {
     /// When it was changed last, and its length.
     changed: Option<(SystemTime, u64)>,
     options: SourceOptions,
+    /// The rate that it was asked for with.
+    asked_rate: Option<FrameRate>,
     size_px: [u32; 2],
     hint: Option<u64>,
     index: Arc<Index>,
@@ -78,7 +80,11 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Reel {
     /// Opens a recording, and reads its first frame.
-    pub(super) fn open(path: &Path, options: SourceOptions) -> Result<Arc<Self>, Refusal> {
+    pub(super) fn open(
+        path: &Path,
+        options: SourceOptions,
+        asked_rate: Option<FrameRate>,
+    ) -> Result<Arc<Self>, Refusal> {
         let changed = changed(path);
         let mut source = opened(path, options)?;
         let (size_px, hint) = (source.size_px(), source.frame_count_hint());
@@ -89,7 +95,8 @@ impl Reel {
         let mut hand = ReelState { reader: Some((1, source)), ..ReelState::default() };
         hand.kept.push_back((0, Arc::new(first)));
         let (content, hand) = (Arc::default(), Mutex::new(hand));
-        let reel = Self { path: path.to_owned(), changed, options, size_px, hint, index, content, hand };
+        let (whole, at) = (path.to_owned(), Arc::clone(&index));
+        let reel = Self { path: whole, changed, options, asked_rate, size_px, hint, index: at, content, hand };
         let (index, path) = (Arc::clone(&reel.index), path.to_owned());
         let read = move || index.fill(&path, SourceOptions { decoder_threads: 1, ..options });
         Builder::new().name("studio index".to_owned()).spawn(read).map_err(Refusal::wrong)?;
@@ -103,6 +110,11 @@ impl Reel {
 
     pub(super) fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The rate that it was asked for with; with none it may have been opened with that of the command line.
+    pub(super) fn asked_rate(&self) -> Option<FrameRate> {
+        self.asked_rate
     }
 
     /// The rate that was stated for it.

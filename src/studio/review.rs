@@ -140,26 +140,26 @@ pub(super) fn frame(desk: &Desk, asked: &FrameAsked) -> Result<Reply, Refusal> {
 fn picture(desk: &Desk, run: &Run, stamp_ns: i64) -> Result<(String, usize), Refusal> {
     let found = |reel: &Reel, frame: usize| (desk.places.shown(reel.path()), frame);
     let reading = |path: &Path| Refusal { status: 503, words: format!("{} is being read", path.display()) };
-    if run.live {
-        // What a camera took is gone, but for what was recorded with the run.
-        for path in run.pictures() {
-            let reel = desk.reel_at(&path, None)?;
+    let recording =
+        run.recording.as_deref().ok_or_else(|| Refusal::wrong("the run does not say of which recording it is"))?;
+    // What a camera took is gone, but for what was recorded with the run; a file in its place is there.
+    if run.live && desk.places.existing(recording).is_err() {
+        if let Some(path) = run.pictures_of(stamp_ns) {
+            let reel = desk.reel_at(path, None)?;
             if let Some(frame) = reel.at(stamp_ns) {
                 return Ok(found(&reel, frame));
             }
             if !reel.indexed().done {
-                return Err(reading(&path));
+                return Err(reading(path));
             }
         }
         return Err(Refusal::wrong("the picture of this frame was not recorded (catoptra live --record)"));
     }
-    let recording =
-        run.recording.as_deref().ok_or_else(|| Refusal::wrong("the run does not say of which recording it is"))?;
     let reel = desk.reel_at(&desk.places.existing(recording)?, run.stated_rate)?;
-    if let Some(tracked) = &run.recording_sha256 {
+    if let Some(tracked) = run.recording_sha256() {
         match reel.sha256() {
             None => return Err(reading(reel.path())),
-            Some(now) if now.as_ref() != Some(tracked) => {
+            Some(now) if now.as_ref() != Some(&tracked) => {
                 let changed = "has another content than when it was tracked: track it again, or bring the old one back";
                 return Err(Refusal::wrong(format!("{recording}: {changed}")));
             }

@@ -1,7 +1,7 @@
 //! The files of a run, read back: from its log, with outlines and residuals, or from its table alone.
 
 use super::Refusal;
-use super::places::changed;
+use super::places::{changed, opened};
 use crate::archive::RunSummary;
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{float, floats, inner, list, number, optional_number, text, whole, word, xyz};
@@ -9,12 +9,12 @@ use crate::log::schema::{LOG_FILE, RIG_ATTACHMENT, TABLE_FILE, Topic};
 use crate::log::{is_being_written, records};
 use crate::rig::Rig;
 use crate::series::Recording;
-use crate::source::FrameRate;
+use crate::source::{FrameRate, SourceOptions};
 use mcap::records::Record;
 use nalgebra::Point3;
 use prost_reflect::DynamicMessage;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::SystemTime;
 
 /// Runs that stay in memory.
@@ -57,8 +57,8 @@ pub(super) struct Run {
     pub(super) live: bool,
     /// The rate that was stated for its recording.
     pub(super) stated_rate: Option<FrameRate>,
-    /// SHA-256 of the recording when it was tracked, if the run is finished.
-    pub(super) recording_sha256: Option<String>,
+    /// The videos of its pictures that were recorded with it, with the time of each one's first.
+    pictures: OnceLock<Vec<(PathBuf, i64)>>,
     /// The log has outlines of bands.
     outlined: bool,
     /// The rig that it was tracked with, from the log.
@@ -134,7 +134,6 @@ impl Run {
             rig_path: of("rig"),
             live: of("command").is_some_and(|command| command == "live"),
             stated_rate: of("fps").and_then(|fps| fps.parse().ok()),
-            recording_sha256: RunSummary::read(folder).ok().flatten().and_then(|summary| summary.sha256.recording),
             ..Self::default()
         };
         let (log, table) = (folder.join(LOG_FILE), folder.join(TABLE_FILE));
@@ -154,10 +153,20 @@ impl Run {
         row.word(&self.markers, self.rig.as_ref().map_or(usize::MAX, |rig| rig.catheter.coil))
     }
 
-    /// The videos of its pictures that were recorded with it.
-    pub(super) fn pictures(&self) -> impl Iterator<Item = PathBuf> {
+    /// SHA-256 of the recording when it was tracked, if the run is finished.
+    pub(super) fn recording_sha256(&self) -> Option<String> {
+        RunSummary::read(&self.folder).ok().flatten()?.sha256.recording
+    }
+
+    /// The video, of those that were recorded with it, in which the picture of this time must be.
+    pub(super) fn pictures_of(&self, stamp_ns: i64) -> Option<&Path> {
         let name = |n: u32| if n == 1 { "pictures.mkv".to_owned() } else { format!("pictures-{n}.mkv") };
-        (1..).map(move |n| self.folder.join(name(n))).take_while(|path| path.is_file())
+        let first_ns = |path: &Path| Some(opened(path, SourceOptions::default()).ok()?.next_frame().ok()??.stamp.ns);
+        let all = self.pictures.get_or_init(|| {
+            let paths = (1..).map(|n| self.folder.join(name(n))).take_while(|path| path.is_file());
+            paths.filter_map(|path| Some((path.clone(), first_ns(&path)?))).collect()
+        });
+        all.iter().rfind(|(_, first_ns)| *first_ns <= stamp_ns).map(|(path, _)| path.as_path())
     }
 
     /// Where it is.
@@ -221,7 +230,7 @@ impl Run {
         });
         let cut = condition.map_err(Refusal::wrong)?.summary();
         self.cut = if is_being_written(path) { Some("it is still being written".to_owned()) } else { cut };
-        if !self.outlined {
+        if !self.outlined && !self.rows.is_empty() {
             self.note = Some("its log has no outlines of the bands, as those for ROS 2 have none".to_owned());
         }
         Ok(())

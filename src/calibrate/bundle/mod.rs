@@ -306,7 +306,7 @@ impl Bundle {
             let residual = (corner.pixel - seen.pixel) / sd_px;
             let by_place = seen.d_point * pose.rotation.to_rotation_matrix().into_inner();
             by_shared.iter_mut().for_each(Vec::clear);
-            let by_shape = at.shape.moves(&corner.place).map(|by| by_place * by);
+            let by_shape = at.shape.moves(&corner.place).into_iter().map(|by| by_place * by);
             for d in seen.d_parameters.into_iter().chain(by_shape) {
                 by_shared.iter_mut().zip(&d).for_each(|(row, d)| row.push(d / sd_px));
             }

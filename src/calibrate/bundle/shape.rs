@@ -37,6 +37,8 @@ pub(crate) const PARAMETERS: usize = BENDS + PRINTS + 1 + 2 * CREEPS;
 pub(crate) const PRINT: usize = BENDS;
 pub(crate) const PRINTS: usize = 2 + 2 * CUBIC;
 pub(crate) const UNEVEN_TERMS: std::ops::Range<usize> = PRINT + 2..PRINT + PRINTS;
+/// Index of the size, the creep being behind it.
+const SIZE_TERM: usize = PRINT + PRINTS;
 /// Index of the first term of third order, behind those of second.
 const CUBIC: usize = 3;
 
@@ -134,7 +136,7 @@ impl Shape {
     /// How far the uneven print shifts a corner of a full grid with its centre at the origin, at most, metres.
     pub fn unevenness_m(&self, places: &[Point3<f64>]) -> f64 {
         let shifted = |place: &Point3<f64>| -> Vector3<f64> {
-            let moves = self.moves(place).skip(UNEVEN_TERMS.start);
+            let moves = self.moves(place).into_iter().skip(UNEVEN_TERMS.start);
             moves.zip(self.uneven_m()).map(|(by, term_m)| by * *term_m).sum()
         };
         let mean = places.iter().map(shifted).sum::<Vector3<f64>>() / places.len().max(1) as f64;
@@ -184,28 +186,34 @@ impl Shape {
     }
 
     /// d place / d parameter at a point of the flat board.
-    pub(crate) fn moves(&self, flat: &Point3<f64>) -> impl Iterator<Item = Vector3<f64>> + use<> {
-        let free = if self.is_rigid() { 0.0 } else { 1.0 };
+    pub(crate) fn moves(&self, flat: &Point3<f64>) -> [Vector3<f64>; PARAMETERS] {
+        let mut moves = [Vector3::zeros(); PARAMETERS];
+        if self.is_rigid() {
+            return moves;
+        }
         let [(u, _), (v, _)] = [(flat.x, self.half_m[0]), (flat.y, self.half_m[1])]
             .map(|(at_m, half_m)| legendre(if half_m > 0.0 { at_m / half_m } else { 0.0 }));
-        let terms = ORDERS.map(|(i, j)| free * u[i] * v[j]);
-        let along = move |axis: Vector3<f64>, first: usize, count: usize| {
-            terms.into_iter().skip(first).take(count).map(move |term| axis * term)
+        let terms = ORDERS.map(|(i, j)| u[i] * v[j]);
+        let (uneven, creep) = (&terms[..CUBIC], &terms[CUBIC..CUBIC + CREEPS]);
+        let along = |to: &mut [Vector3<f64>], axis: usize, terms: &[f64]| {
+            to.iter_mut().zip(terms).for_each(|(to, term)| to[axis] = *term);
         };
-        let (x, y) = (free * flat.x, free * flat.y);
-        let affine = [Vector3::new(x, -y, 0.0) / 2.0, Vector3::new(y, x, 0.0) / 2.0];
-        along(Vector3::z(), 0, BENDS)
-            .chain(affine)
-            .chain(along(Vector3::x(), 0, CUBIC))
-            .chain(along(Vector3::y(), 0, CUBIC))
-            .chain([Vector3::new(x, y, 0.0)])
-            .chain(along(Vector3::x(), CUBIC, CREEPS))
-            .chain(along(Vector3::y(), CUBIC, CREEPS))
+        let (x, y) = (flat.x, flat.y);
+        along(&mut moves, 2, &terms);
+        moves[PRINT] = Vector3::new(x, -y, 0.0) / 2.0;
+        moves[PRINT + 1] = Vector3::new(y, x, 0.0) / 2.0;
+        along(&mut moves[UNEVEN_TERMS.start..], 0, uneven);
+        along(&mut moves[UNEVEN_TERMS.start + CUBIC..], 1, uneven);
+        moves[SIZE_TERM] = Vector3::new(x, y, 0.0);
+        along(&mut moves[SIZE_TERM + 1..], 0, creep);
+        along(&mut moves[SIZE_TERM + 1 + CREEPS..], 1, creep);
+        moves
     }
 
     /// Position of a point of the flat board on this one.
     pub fn place(&self, flat: &Point3<f64>) -> Point3<f64> {
-        self.moves(flat).zip(self.parameters).fold(*flat, |place, (by, parameter)| place + by * parameter)
+        let moved = self.moves(flat).into_iter().zip(self.parameters).map(|(by, parameter)| by * parameter);
+        flat + moved.sum::<Vector3<f64>>()
     }
 
     /// Changed by a step.

@@ -25,7 +25,8 @@ pub struct RigOptions {
     pub mirrors: usize,
     /// The tank, if the board was in one.
     pub tank: Option<Tank>,
-    /// Covariance of the lens (fx, fy, cx, cy, k1, k2, p1, p2, k3; of a rational one also k4, k5, k6); without it the lens is assumed exact.
+    /// Covariance of the lens (fx, fy, cx, cy, k1, k2, p1, p2, k3; of a rational one also k4, k5, k6); without it the
+    /// lens is assumed exact.
     pub lens_covariance: Option<DMatrix<f64>>,
     /// Measured distances of surfaces from the camera: name, distance, standard deviation, metres.
     pub distances_m: Vec<(String, f64, f64)>,

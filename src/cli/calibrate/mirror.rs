@@ -134,7 +134,9 @@ fn failure(args: &MirrorArgs, error: MirrorError) -> Failure {
         | MirrorError::Doubtful(_)
         | MirrorError::Open { .. } => Exit::Unusable,
     };
-    Failure::new(exit, format!("{}: {error}; nothing was written", args.source.display()))
+    let told = error.to_string();
+    let end = if told.ends_with('?') { " Nothing was written" } else { "; nothing was written" };
+    Failure::new(exit, format!("{}: {told}{end}", args.source.display()))
 }
 
 fn provenance(args: &MirrorArgs, done: &MirrorCalibration, doubts: Vec<String>) -> toml::Table {

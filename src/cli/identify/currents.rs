@@ -6,6 +6,8 @@ use crate::identify::data::hold::{Held, LongHold};
 const MOST_AMPERES: f64 = 50.0;
 /// Frames between two rows of currents from which on their log is slow.
 const SLOW_LOG: f64 = 1.5;
+/// So many times the time between frames is hardly that between commands, but for their unit.
+const IN_MS: f64 = 200.0;
 
 /// Warns of a long hold and of values that may have another unit. `held`: the coils of one source, whose rows have the
 /// same times; `end_s`: the last frame; `eq_6`: they become torques.
@@ -26,8 +28,9 @@ pub(super) fn warn_of_values(source: &str, held: &[Held], end_s: f64, eq_6: bool
 /// Warns if the commands are fewer than the frames and look like a log.
 pub(super) fn warn_of_slow_log(source: &str, held: &Held, period_s: f64) {
     if let Some(every_s) = held.logged_every_s().filter(|every_s| *every_s > SLOW_LOG * period_s) {
+        let unit = if every_s > IN_MS * period_s { " (are their times in milliseconds?)" } else { "" };
         tracing::warn!(
-            "{source}: currents come every {every_s:.3} s and frames every {period_s:.3} s: each current is taken as \
+            "{source}: currents come every {every_s:.3} s and frames every {period_s:.3} s{unit}: each current is taken as \
              held until the next. If the amplifier was told more often than this table, what happened in between is \
              not known, and H(s) is wrong"
         );

@@ -159,9 +159,10 @@ impl Check<'_> {
                 let expected = format!("at most {most_mm:.0}: the stiff part around the middle of the coil");
                 return Err(self.value("catheter.rigid_mm", rigid, expected));
             }
-            let band_mm = markers.get(coil).map_or(0.0, |coil| coil.length_m * 1e3);
-            if rigid < band_mm - 1e-9 {
-                let expected = format!("at least {band_mm}, the length of the coil's band, which is stiff");
+            let band_m = markers.get(coil).map_or(0.0, |coil| coil.length_m);
+            if rigid < band_m * 1e3 - 1e-9 {
+                let expected =
+                    format!("at least {}, the length of the coil's band, which is stiff", written_mm(band_m));
                 return Err(self.value("catheter.rigid_mm", rigid, expected));
             }
         }

@@ -198,7 +198,9 @@ impl Camera {
         };
         let host = HostTime { stamp_ns: host.stamp_ns.max(self.last_host_ns.saturating_add(1)), ..host };
         self.last_host_ns = host.stamp_ns;
-        let stamp = Timestamp { ns: self.of_run.stamp_ns(stamp.ns, host.stamp_ns, &self.name), ..stamp };
+        // That of a frame without a stamp is another clock, which goes on.
+        let of_camera = taken.stamp.map(|stamp| self.of_run.stamp_ns(stamp.ns, arrival_ns, &self.name));
+        let stamp = Timestamp { ns: of_camera.unwrap_or(stamp.ns), ..stamp };
         let seq = self.seq;
         self.seq += 1;
         Frame { seq, stamp, gap, host: Some(host), picture }
@@ -336,8 +338,11 @@ mod tests {
     #[test]
     fn a_lost_camera_is_opened_again_and_its_frames_are_counted_on() {
         let (mut camera, stop) = camera(vec![vec![good(5), good(6)], vec![good(1), good(2)]], false);
-        let frames: Vec<(u64, u32)> = (0..4).map(|_| next(&mut camera)).map(|f| (f.seq, f.gap)).collect();
-        assert_eq!(frames, [(0, 0), (1, 0), (2, 0), (3, 0)]);
+        let frames: Vec<Frame> = (0..4).map(|_| next(&mut camera)).collect();
+        assert_eq!(frames.iter().map(|f| (f.seq, f.gap)).collect::<Vec<_>>(), [(0, 0), (1, 0), (2, 0), (3, 0)]);
+        // Its clock began anew.
+        assert!(frames.windows(2).all(|two| two[0].stamp.ns < two[1].stamp.ns), "{frames:?}");
+        assert_eq!(frames[3].stamp.ns - frames[2].stamp.ns, 16_666_667);
         assert_eq!((camera.faults().interruptions, camera.faults().backward_stamps), (1, 0));
         let setter = std::thread::spawn(move || {
             std::thread::sleep(Duration::from_millis(200));

@@ -1,12 +1,12 @@
 //! One clock for all stamps of a run, also when that of the camera or the sender began anew.
 //!
-//! In: the stamps as they come, the host's time of each, and when the source was interrupted. Out: stamps that rise from
-//! one part of a run to the next. Otherwise moments would occur twice in a run, and what is known by its time, a veto
+//! In: the stamps as they come, the arrival of each by the host's clock, and when the source was interrupted. Out:
+//! stamps that rise from one part of a run to the next. Otherwise moments would occur twice in a run, and what is known by its time, a veto
 //! or a place in a plot, would be of two frames.
 //!
 //! Method. Of the first frame after an interruption, the time since the last frame by the camera's clock is compared
-//! with that by the host's. Where they differ by more than arrivals vary, or the camera's went back, its clock began
-//! anew: all stamps from there on are shifted by what makes them agree with the host's. A clock that goes back by more
+//! with that between their arrivals. Where they differ by more than arrivals vary, or the camera's went back, its clock began
+//! anew: all stamps from there on are shifted by what makes them agree with the arrivals. A clock that goes back by more
 //! than that without an interruption began anew as well: the sender was restarted faster than its absence was noticed.
 //!
 //! Cannot tell: how long such an interruption was, better than arrivals vary (some hundredths of a second, with
@@ -32,7 +32,7 @@ struct Last {
     stamp_ns: i64,
     /// As given out.
     shifted_ns: i64,
-    host_ns: i64,
+    arrival_ns: i64,
 }
 
 impl OneClock {
@@ -41,12 +41,12 @@ impl OneClock {
         self.interrupted = true;
     }
 
-    /// The stamp on the clock of the run of a frame that is stamped `stamp_ns` and of `host_ns` by the host's clock;
-    /// `name` of the source, for messages.
-    pub(super) fn stamp_ns(&mut self, stamp_ns: i64, host_ns: i64, name: &str) -> i64 {
+    /// The stamp on the clock of the run of a frame that is stamped `stamp_ns` and has arrived at `arrival_ns`; `name` of
+    /// the source, for messages.
+    pub(super) fn stamp_ns(&mut self, stamp_ns: i64, arrival_ns: i64, name: &str) -> i64 {
         if let Some(last) = self.last {
             let by_camera = stamp_ns.saturating_sub(last.stamp_ns);
-            let by_host = host_ns.saturating_sub(last.host_ns).max(1);
+            let by_host = arrival_ns.saturating_sub(last.arrival_ns).max(1);
             let differ = by_camera.saturating_sub(by_host).saturating_abs() > ANEW_NS;
             let anew = if self.interrupted { by_camera <= 0 || differ } else { by_camera < -ANEW_NS };
             if anew {
@@ -60,7 +60,7 @@ impl OneClock {
         }
         self.interrupted = false;
         let shifted_ns = stamp_ns.saturating_add(self.shift_ns);
-        self.last = Some(Last { stamp_ns, shifted_ns, host_ns });
+        self.last = Some(Last { stamp_ns, shifted_ns, arrival_ns });
         shifted_ns
     }
 }

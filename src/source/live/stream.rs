@@ -2,8 +2,8 @@
 //! (`-`).
 //!
 //! A network stream that ends or falls silent is reopened, trying once a second, until it is back or the run is
-//! stopped. Stamps that restart are continued (`one_clock`): the gap before its first frame is unknown and counts as 0,
-//! the interruption is counted ([`StreamFaults::interruptions`]). Standard input ends for good. A stream that is joined between two key
+//! stopped. Stamps that restart are continued (`one_clock`): the gap before its first frame is unknown and counts as
+//! 0, the interruption is counted ([`StreamFaults::interruptions`]). Standard input ends for good. A stream that is joined between two key
 //! frames begins with the next.
 //!
 //! A stream of bare pictures (Motion JPEG over HTTP, raw H.264) has no times, and those that libav gives it are
@@ -176,7 +176,7 @@ impl FrameSource for Stream {
                     let arrival_ns = self.clock.at_ns(arrival.unwrap_or_else(Instant::now));
                     frame.host = Some(if self.input.as_ref().is_none_or(VideoFile::has_times) {
                         let host = self.mapped(&frame, arrival_ns);
-                        frame.stamp.ns = self.of_run.stamp_ns(frame.stamp.ns, host.stamp_ns, &self.name);
+                        frame.stamp.ns = self.of_run.stamp_ns(frame.stamp.ns, arrival_ns, &self.name);
                         host
                     } else {
                         frame.gap = self.arrivals.lost(arrival_ns, self.seq, &mut self.past);

@@ -556,9 +556,11 @@ export class Teach {
       say(`There is a band ${name} already: choose another name.`, true);
       return this.listBands();
     }
-    // What it was chosen for, it still is.
-    for (const role of ["coil", "end"]) if (this[role].value === old) this.chosen[role] = name;
+    const roles = ["coil", "end"].filter((role) => this[role].value === old);
     this.bands[i].name = name;
+    // What it was chosen for, it still is; what it is by its place needs no choice.
+    for (const role of roles)
+      if (this.chosen[role] === old || this.usual()[role] !== name) this.chosen[role] = name;
     this.picks.forEach((pick) => pick.band === old && (pick.band = name));
     this.looks = new Map(
       [...this.looks].map(([at, look]) => [at.startsWith(`${old}@`) ? name + at.slice(old.length) : at, look]),
