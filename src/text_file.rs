@@ -22,6 +22,20 @@ pub(crate) fn is_utf_16(bytes: &[u8]) -> bool {
     bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff])
 }
 
+/// The line of an error in a file of TOML, from 1, and what is wrong there.
+pub(crate) fn toml_error(text: &str, error: &toml::de::Error) -> (usize, String) {
+    let start = error.span().map_or(0, |span| span.start);
+    let line = 1 + text.bytes().take(start).filter(|byte| *byte == b'\n').count();
+    let is_comma = |three: &[u8]| matches!(three, [a, b',', b] if a.is_ascii_digit() && b.is_ascii_digit());
+    let has_comma = text.lines().nth(line - 1).is_some_and(|line| line.as_bytes().windows(3).any(is_comma));
+    let hint = if has_comma && error.message().starts_with("unexpected") {
+        " (numbers have a decimal point, not a comma)"
+    } else {
+        ""
+    };
+    (line, format!("{}{hint}", error.message()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -36,5 +50,16 @@ mod tests {
         assert_eq!(of("θ".as_bytes()).unwrap(), "θ");
         assert_eq!(of(&[0xff, 0xfe, b'a', 0]).unwrap_err(), UTF_16);
         assert!(of(b"caf\xe9").unwrap_err().contains("UTF-8"));
+    }
+
+    #[test]
+    fn a_decimal_comma_is_told_with_its_line() {
+        let of = |text: &str| toml_error(text, &text.parse::<toml::Table>().unwrap_err());
+        for text in ["[a]\nb0_t = 3,0\n", "[a]\nfocal_px = [2711,043, 2711,043]\n"] {
+            let (line, said) = of(text);
+            assert!(line == 2 && said.contains("not a comma"), "{line}: {said}");
+        }
+        let (line, said) = of("[a]\nb = [1,2\nc = 3\n");
+        assert!(line == 3 && !said.contains("comma, not"), "{line}: {said}");
     }
 }

@@ -19,8 +19,8 @@ impl Catheter {
     pub fn load(path: &Path) -> Result<Self, CatheterError> {
         let text = text_file::read(path).map_err(|source| CatheterError::Read { file: path.to_owned(), source })?;
         let raw: Raw = toml::from_str(&text).map_err(|e| {
-            let line = e.span().map_or(1, |span| 1 + text.bytes().take(span.start).filter(|b| *b == b'\n').count());
-            CatheterError::Syntax { file: path.to_owned(), line, message: e.message().to_owned() }
+            let (line, message) = text_file::toml_error(&text, &e);
+            CatheterError::Syntax { file: path.to_owned(), line, message }
         })?;
         raw.checked(path)
     }

@@ -3,6 +3,7 @@
 
 use super::RigError;
 use super::error::nearest;
+use crate::text_file::toml_error;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -130,14 +131,13 @@ pub(super) struct TransformFile {
 /// [`RigError::Syntax`] or [`RigError::UnknownKey`], with the line.
 pub(super) fn parse(text: &str, name: &Path) -> Result<RigFile, RigError> {
     toml::from_str(text).map_err(|e| {
-        let start = e.span().map_or(0, |span| span.start);
-        let line = 1 + text.bytes().take(start).filter(|b| *b == b'\n').count();
+        let (line, message) = toml_error(text, &e);
         let file = name.to_path_buf();
         match unknown_key(e.message()) {
             Some((key, advice)) => RigError::UnknownKey { file, line, key, advice },
             None => {
                 let key = text.lines().nth(line - 1).and_then(key_of).map_or(String::new(), |key| format!("{key}: "));
-                RigError::Syntax { file, line, message: format!("{key}{}", in_words_of_the_file(e.message())) }
+                RigError::Syntax { file, line, message: format!("{key}{}", in_words_of_the_file(&message)) }
             }
         }
     })

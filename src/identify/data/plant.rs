@@ -35,8 +35,8 @@ impl Plant {
         let file = || path.to_owned();
         let text = text_file::read(path).map_err(|source| PlantError::Read { file: file(), source })?;
         let raw: Raw = toml::from_str(&text).map_err(|e| {
-            let line = e.span().map_or(1, |span| 1 + text.bytes().take(span.start).filter(|b| *b == b'\n').count());
-            PlantError::Syntax { file: file(), line, message: e.message().to_owned() }
+            let (line, message) = text_file::toml_error(&text, &e);
+            PlantError::Syntax { file: file(), line, message }
         })?;
         for (key, value, zero_allowed) in [
             ("turns", raw.turns, false),
