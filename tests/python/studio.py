@@ -93,12 +93,34 @@ def teach(page, save):
         page.fill("#exposure", "")
         expect(page.locator("#command")).not_to_contain_text("--rigid")
         expect(page.locator("#command")).not_to_contain_text("--exposure")
+        rename(page)
     page.fill("#out", "clicked.toml")
     expect(page.locator("#command")).to_contain_text("--out clicked.toml")
     if save:
         page.click("#save")
         expect(page.locator("#result")).to_contain_text("Saved: clicked.toml", timeout=120_000)
     return page.locator("#command").text_content()
+
+
+def rename(page):
+    """A band that gets another name stays what it was, and no two have one name."""
+    name = page.get_by_label("name of band 2")
+
+    def call(it, is_taken=False):
+        before = page.locator(".view").get_attribute("data-preview")
+        name.fill(it)
+        name.press("Tab")
+        if not is_taken:
+            page.wait_for_function("(b) => document.querySelector('.view').dataset.preview !== b", arg=before)
+
+    call("spool")
+    expect(page.locator("#coil")).to_have_value("spool")
+    expect(page.locator("#command")).to_contain_text("--coil spool")
+    call("tip", is_taken=True)
+    expect(page.locator("#said")).to_contain_text("There is a band tip already")
+    expect(name).to_have_value("spool")
+    call("coil")
+    expect(page.locator("#command")).not_to_contain_text("--coil")
 
 
 def cross_to(page, x, y):
