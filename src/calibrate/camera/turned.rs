@@ -20,12 +20,15 @@ use super::turn::{Pictures, Turn};
 use super::two_lenses::{MIN_EVIDENCE, OUTLIER, TwoLenses, squares};
 use crate::calibrate::board::Board;
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
+use crate::median::upper_median;
 use crate::optics::Lens;
 use rayon::prelude::*;
 
 const MAX_ROUNDS: usize = 8;
 /// Initial distance of the principal point from the middle, as a part of the picture's size.
 const BESIDE: f64 = 0.01;
+/// Median residuals of the two groups that differ by less than this factor are those of one lens.
+const ALIKE: f64 = 2.0;
 
 /// Searches for pictures that are flipped or turned, and says how much evidence there is; `even` is the solution with
 /// an even print.
@@ -56,7 +59,13 @@ pub(super) fn turned(
     let groups = [false, true].map(|which| (0..turned.len()).filter(|i| turned.get(*i) == Some(&which)).collect());
     let lenses = [found.geometry.lens, turn.lens(found.geometry.lens, size_px)];
     let evidence = turn.apart(&found, size_px)? * (left(solved) / left(&found) - 1.0);
-    (evidence > MIN_EVIDENCE).then_some((evidence, TwoLenses { groups, lenses, turn: Some(turn) }))
+    // What else was done to pictures, a zoom or a shift, may be nearer to the turned lens than to their own.
+    let [own, others] = [false, true].map(|which| {
+        let of_group = corners.iter().zip(&found.residuals_px).filter(|(c, _)| turned.get(c.picture) == Some(&which));
+        upper_median(of_group.map(|(_, residual)| residual.norm()))
+    });
+    let alike = own.zip(others).is_some_and(|(a, b)| a.max(b) < ALIKE * a.min(b));
+    (evidence > MIN_EVIDENCE).then_some((evidence, TwoLenses { groups, lenses, turn: alike.then_some(turn) }))
 }
 
 /// Pictures of which some are turned back.
