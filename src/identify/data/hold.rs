@@ -80,7 +80,7 @@ impl Held {
                 continue;
             }
             let integral = match (held.integral.last(), held.time_s.last(), held.value.last()) {
-                (Some(sum), Some(last), Some(before)) => sum + before * (t - last),
+                (Some(sum), Some(last), Some(before)) => sum + held_for(*before, t - last),
                 _ => 0.0,
             };
             held.time_s.push(t);
@@ -146,10 +146,13 @@ impl Held {
 
     fn integral_to(&self, t: f64) -> Option<f64> {
         let k = self.time_s.partition_point(|s| *s <= t).checked_sub(1)?;
-        // Zero may extend back indefinitely.
-        let since = if self.value[k] == 0.0 { 0.0 } else { self.value[k] * (t - self.time_s[k]) };
-        Some(self.integral[k] + since)
+        Some(self.integral[k] + held_for(self.value[k], t - self.time_s[k]))
     }
+}
+
+/// The integral of a value over a time, which is infinite where zero extends back indefinitely.
+fn held_for(value: f64, time_s: f64) -> f64 {
+    if value == 0.0 { 0.0 } else { value * time_s }
 }
 
 #[cfg(test)]
@@ -211,6 +214,8 @@ mod tests {
     fn zero_may_have_held_before_and_nothing_else() {
         let held = Held::new(vec![(0.0, 0.0), (1.0, 2.0)]).zero_before();
         assert_eq!((held.mean(-3.0, 1.0), held.mean(-3.0, 2.0)), (Some(0.0), Some(0.4)));
+        let drifted = held.drifted(0.0, 0.5);
+        assert_eq!((drifted.mean(-3.0, 1.0), drifted.mean(-3.0, 2.0)), (Some(0.0), Some(0.4)));
         let other = Held::new(vec![(0.0, 1.0), (1.0, 2.0)]).zero_before();
         assert_eq!(other.mean(-3.0, 1.0), None);
     }
