@@ -270,7 +270,8 @@ pub(crate) enum SearchError<E> {
     NotConverged,
 }
 
-/// Searches from `start` for the minimum cost. A step without equations at its end counts as too long.
+/// Searches from `start` for the minimum cost. A step without equations at its end counts as too long; where the cost
+/// falls up to the edge of where there are any, the search ends beside it: what lies there must be judged by itself.
 pub(crate) fn minimise<S, E>(
     end: End,
     start: S,
@@ -280,9 +281,6 @@ pub(crate) fn minimise<S, E>(
     let mut here = equations(&start).map_err(SearchError::Start)?;
     let mut at = start;
     let (mut damping, least, most) = DAMPING;
-    // Whether the last step that was tried led to where there are no equations: short steps beside that edge are no
-    // sign of a minimum.
-    let mut outside = false;
     for _ in 0..end.max_steps {
         let Some(step) = here.step(damping) else {
             if damping > most {
@@ -297,20 +295,11 @@ pub(crate) fn minimise<S, E>(
             Ok((there, moved)) if there.cost <= here.cost => {
                 (at, here) = (moved, there);
                 damping = f64::max(damping * 0.1, least);
-                outside &= converged;
             }
-            Ok(_) => {
-                damping *= 10.0;
-                outside = false;
-            }
-            Err(_) => {
-                damping *= 10.0;
-                outside = true;
-                continue;
-            }
+            _ => damping *= 10.0,
         }
         if converged {
-            return if outside { Err(SearchError::NotConverged) } else { Ok((at, here)) };
+            return Ok((at, here));
         }
     }
     Err(SearchError::NotConverged)
@@ -457,14 +446,14 @@ mod tests {
     }
 
     #[test]
-    fn the_edge_of_where_there_are_equations_is_no_minimum() {
+    fn where_the_cost_falls_up_to_the_edge_the_search_ends_beside_it() {
         let up_to_edge = |x: &f64| {
             let mut observations = Observations::new(1, []);
             observations.add(None, &[Row { residual: -1.0 - x, shared: &[1.0], own: &[] }], Loss::Squared);
             if *x < 0.0 { Err("beyond") } else { Ok(observations.equations()) }
         };
-        let error = minimise(END, 0.5, up_to_edge, |x, step| Ok(x + step.shared[0])).unwrap_err();
-        assert_eq!(error, SearchError::NotConverged);
+        let (found, _) = minimise(END, 0.5, up_to_edge, |x, step| Ok(x + step.shared[0])).unwrap();
+        assert!((0.0..1e-3).contains(&found), "{found}");
     }
 
     #[test]

@@ -123,7 +123,8 @@ mod tests {
         assert_eq!(message("0 1\n", "0"), "data.csv: has no column 0; columns are numbered from 1 to 2");
         assert_eq!(
             message("0 1\n", "u"),
-            "data.csv: has no header, and so no column `u`; write one, or give the column's number, 1 to 2, where an option asks for it"
+            "data.csv: has no header, and so no column `u`: write one, or give the column's number, 1 to 2, where an \
+             option asks for it"
         );
         assert_eq!(message("t,u\n0,1\n1\n", "u"), "data.csv, line 3: has 1 cell, the first line has 2");
         let no_number = "is no number; numbers have a decimal point, what is missing is empty or `nan`";
