@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
             Repaired::WasWhole => output::print(&format!("{}: is complete, nothing to repair\n", file.display())),
             Repaired::Mended { messages, unknown, condition, kept_as } => {
                 let mut text = format!("{}: repaired, {} recovered\n", file.display(), plural(messages, "message"));
-                damage(&mut text, &condition, &Info::read(file).map_err(failure)?)
+                damage(&mut text, &condition, &Info::read(file).unwrap_or_default())
                     .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the log: {e}")))?;
                 match unknown {
                     0 => {}

@@ -356,10 +356,12 @@ pub(super) fn save(desk: &Desk, asked: &Save) -> Result<Reply, Refusal> {
     let out = desk.places.to_write(&asked.out)?;
     let mut settings: Vec<Setting> = form.settings();
     settings.extend(form.picks());
-    let reel = desk.reel_at(&recording, None)?;
-    settings.extend(reel.stated_rate().map(|rate| ("--fps", rate.to_string())));
+    // What is wrong with a recording, the command says.
+    let reel = desk.reel_at(&recording, None);
+    let rate = reel.as_ref().ok().and_then(|reel| reel.stated_rate());
+    settings.extend(rate.map(|rate| ("--fps", rate.to_string())));
     if form.frame > 0 {
-        let indexed = reel.indexed();
+        let indexed = reel?.indexed();
         let first_ns = indexed.stamps_ns.first().copied().unwrap_or_default();
         let at = indexed.stamps_ns.get(form.frame).copied();
         let at = at.ok_or_else(|| Refusal::wrong(format!("frame {}: not known", form.frame)))?;

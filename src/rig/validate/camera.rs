@@ -8,8 +8,6 @@ use nalgebra::{Point2, Vector2};
 
 /// A chroma sample displaced by more than this belongs to another luma sample.
 const LARGEST_CHROMA_OFFSET_PX: f64 = 2.0;
-/// Shorter in parts of the picture's side is no lens that this model describes: 157° from edge to edge.
-const LEAST_FOCAL: f64 = 0.1;
 /// Longer than any video camera exposes a picture.
 const LONGEST_EXPOSURE_MS: f64 = 1000.0;
 /// Longer than any rolling shutter needs.
@@ -26,12 +24,8 @@ impl Check<'_> {
                 return Err(self.value(key, size, "1 to 65535"));
             }
         }
-        for (f, size) in raw.focal_px.into_iter().zip([raw.width_px, raw.height_px]) {
+        for f in raw.focal_px {
             self.positive("camera.focal_px", f)?;
-            if f < LEAST_FOCAL * f64::from(size) {
-                let expected = "pixels: the focal length in mm over the side of a pixel in mm";
-                return Err(self.value("camera.focal_px", f, expected));
-            }
         }
         self.finite("camera.principal_point_px", &raw.principal_point_px)?;
         self.finite("camera.distortion", &raw.distortion)?;
