@@ -199,7 +199,7 @@ impl Camera {
         let host = HostTime { stamp_ns: host.stamp_ns.max(self.last_host_ns.saturating_add(1)), ..host };
         self.last_host_ns = host.stamp_ns;
         // That of a frame without a stamp is another clock, which goes on.
-        let of_camera = taken.stamp.map(|stamp| self.of_run.stamp_ns(stamp.ns, arrival_ns, &self.name));
+        let of_camera = taken.stamp.map(|stamp| self.of_run.stamp_ns(stamp.ns, host, &self.name));
         let stamp = Timestamp { ns: of_camera.unwrap_or(stamp.ns), ..stamp };
         let seq = self.seq;
         self.seq += 1;

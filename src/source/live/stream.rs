@@ -176,7 +176,7 @@ impl FrameSource for Stream {
                     let arrival_ns = self.clock.at_ns(arrival.unwrap_or_else(Instant::now));
                     frame.host = Some(if self.input.as_ref().is_none_or(VideoFile::has_times) {
                         let host = self.mapped(&frame, arrival_ns);
-                        frame.stamp.ns = self.of_run.stamp_ns(frame.stamp.ns, arrival_ns, &self.name);
+                        frame.stamp.ns = self.of_run.stamp_ns(frame.stamp.ns, host, &self.name);
                         host
                     } else {
                         frame.gap = self.arrivals.lost(arrival_ns, self.seq, &mut self.past);
