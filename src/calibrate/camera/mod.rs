@@ -389,7 +389,7 @@ fn start(
     let (mut matrix, mut distortion) = (Mat::default(), Mat::default());
     let (mut turns, mut shifts) = (Vector::<Mat>::new(), Vector::<Mat>::new());
     let size = Size::new(size_px[0] as i32, size_px[1] as i32);
-    let flags = if model == LensModel::Eight { calib3d::CALIB_RATIONAL_MODEL } else { 0 } | calib3d::CALIB_USE_LU;
+    let flags = models::opencv_flags(model == LensModel::Eight);
     let end = TermCriteria {
         typ: TermCriteria_Type::COUNT as i32 + TermCriteria_Type::EPS as i32,
         max_count: 30,

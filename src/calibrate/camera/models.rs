@@ -99,6 +99,12 @@ fn held_out(
     Ok(all)
 }
 
+/// OpenCV's flags for one model or the other. By singular values, its default, each step takes several times as long
+/// as by LU.
+pub(super) fn opencv_flags(is_rational: bool) -> i32 {
+    calib3d::CALIB_USE_LU | if is_rational { calib3d::CALIB_RATIONAL_MODEL } else { 0 }
+}
+
 /// A lens in OpenCV's form.
 struct Found {
     model: Model,
@@ -128,8 +134,7 @@ impl Found {
                 calib3d::calibrate(objects, images, size, k, d, &mut turns, &mut shifts, flags, end)?
             }
             Model::Brown | Model::Rational => {
-                let flags =
-                    if model == Model::Rational { calib3d::CALIB_RATIONAL_MODEL } else { 0 } | calib3d::CALIB_USE_LU;
+                let flags = opencv_flags(model == Model::Rational);
                 calib3d::calibrate_camera(objects, images, size, k, d, &mut turns, &mut shifts, flags, end)?
             }
         };
