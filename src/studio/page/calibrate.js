@@ -132,7 +132,7 @@ export class Calibrate {
     this.glass = input("glass", "", { type: "number", step: 0.1, min: 0, placeholder: "mm; empty: in air" });
     this.tank = input("tank", "", { placeholder: "254x254x267mm, if it is a box" });
     this.water = input("water", "", { type: "number", step: 0.1, placeholder: "20" });
-    this.distances = input("distances", "", { placeholder: "front_wall=1265mm:2mm, if measured" });
+    this.distances = input("distances", "", { placeholder: "front_wall=1265mm:2mm" });
     this.inside = el("input", { id: "inside", type: "checkbox", onchange: () => this.changed() });
     this.folder = input("folder", "boards");
     this.out = el("input", {
