@@ -1,18 +1,18 @@
 //! Noise that varies together with what is estimated, as that of a camera which sees fast motion worse.
 //!
-//! In: how far an error of each sample moves a parameter, and the samples' residuals. Out: the parameter's variance over
-//! that for noise of one variance.
+//! In: how far an error of each sample moves a parameter, and the samples' residuals. Out: the parameter's variance
+//! over that for noise of one variance.
 //!
-//! Method. A sample moves a parameter by p(t) ε(t), with p a column of J (JᵀJ)⁻¹. The variance is Σ p² ε² (White,
-//! Econometrica 48, 1980, doi:10.2307/1912934) instead of s² Σ p². Their ratio is 1 for noise of one variance, but for
-//! chance: then its own variance is 2 Σ p⁴ / (Σ p²)², times the samples that say as much as one. Only what exceeds that
-//! clearly counts: noise that is smaller where it matters is not counted on.
+//! Method. A sample moves a parameter by p(t) ε(t), with p a column of J (JᵀJ)⁻¹. The variance is Σ p² ε²
+//! (White, Econometrica 48, 1980, doi:10.2307/1912934) instead of s² Σ p². Their ratio is 1 for noise of one
+//! variance, but for chance: then its own variance is 2 Σ p⁴ / (Σ p²)², times the samples that say as much as
+//! one. Only what exceeds that clearly counts: noise that is smaller where it matters is not counted on.
 
 /// So many standard deviations are no chance.
 const CLEARLY: f64 = 4.0;
 
-/// The variance over that for noise of one variance, 1 or more. `samples`: p and the residual ε of each, in units of the
-/// standard deviation of all. `alike`: samples that say as much as one.
+/// The variance over that for noise of one variance, 1 or more. `samples`: p and the residual ε of each, in units of
+/// the standard deviation of all. `alike`: samples that say as much as one.
 pub(crate) fn excess_variance(samples: impl Iterator<Item = (f64, f64)>, alike: f64) -> f64 {
     let (mut white, mut equal, mut fourth) = (0.0, 0.0, 0.0);
     for (p, residual) in samples {

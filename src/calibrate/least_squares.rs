@@ -113,8 +113,9 @@ impl Observations {
         let (weight, cost) = loss.of(length);
         self.cost += cost;
         let to = block.and_then(|block| self.blocks.get_mut(block)).unwrap_or(&mut self.apart);
+        let root = weight.sqrt();
         for row in rows {
-            to.add(row.shared.iter().chain(row.own).chain([&row.residual]).map(|value| weight.sqrt() * value));
+            to.add(row.shared.iter().chain(row.own).chain([&row.residual]).map(|value| root * value));
         }
     }
 

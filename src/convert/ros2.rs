@@ -4,11 +4,11 @@ use super::{ConvertError, Converted, Message, each_message, left_out};
 use crate::atomic_file::NewFile;
 use crate::log::ros2::PROFILE;
 use crate::log::schema::{RIG_ATTACHMENT, Topic};
-use crate::log::{attached, profile, records, typed};
+use crate::log::{attached, profile, records, typed, write_options};
 use crate::rig::Rig;
 use crate::sink::{FileMessage, FileTopic, RosLog};
 use mcap::records::{MessageHeader, Record};
-use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
+use mcap::{Attachment, McapError, Writer};
 use prost_reflect::Value;
 use std::borrow::Cow;
 use std::cell::RefCell;
@@ -115,9 +115,7 @@ impl<'a> NewLog<'a> {
     fn begin(path: &'a Path, topics: &[FileTopic]) -> Result<Self, ConvertError> {
         let lost = |error| lost(path, error);
         let (new, file) = NewFile::begin(path).map_err(|error| lost(error.into()))?;
-        let library = format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER);
-        let options = WriteOptions::new().profile(PROFILE).library(library).compression(Some(Compression::Zstd));
-        let mut writer = options.compression_threads(0).create(BufWriter::new(file)).map_err(lost)?;
+        let mut writer = write_options(PROFILE).create(BufWriter::new(file)).map_err(lost)?;
         let mut channels = Vec::new();
         for topic in topics {
             let schema = match &topic.schema {

@@ -69,12 +69,14 @@ pub(super) fn convert(
     }
 }
 
+/// Result of a conversion with some layout.
 enum Attempt {
     Done(Converted),
     /// The log has this layout.
     Again(Layout),
 }
 
+/// Converts with this layout, unless the log has another.
 fn attempt(
     path: &Path,
     target: Target,

@@ -1,6 +1,6 @@
 //! How a live run goes: counted by the tracker's thread, read by the status line.
 
-use crate::estimate::{Estimate, Miss};
+use crate::estimate::Estimate;
 use crate::source::host::HostClock;
 use crate::tally::{AlarmInWords, Tally, Totals};
 use hdrhistogram::Histogram;
@@ -113,13 +113,11 @@ impl Counters {
         let latest = counts.latest.as_ref().filter(|_| silent.is_none());
         let located = latest.map_or(0, |e| e.markers.iter().filter(|m| m.position.is_ok()).count());
         let angle = latest.and_then(|e| e.deflection.as_ref().ok());
-        let overload = Miss::SkippedOverload.word(&[]);
-        let skipped = counts.tally.reasons("tangent").iter().find(|(word, _)| *word == overload).map(|(_, n)| *n);
         let status = Status {
             frames: counts.tally.frames,
             new_frames: counts.tally.frames - counts.reported_frames,
             lost: counts.tally.lost,
-            skipped: skipped.unwrap_or(0),
+            skipped: counts.tally.skipped(),
             latency: latency(&counts.recent),
             silent,
             theta_rad: angle.map(|d| (d.theta_rad, d.theta_sd_rad)),

@@ -29,6 +29,15 @@ pub(crate) const CHUNK_SPAN: Duration = Duration::from_millis(500);
 /// Most bytes of a chunk. More than [`CHUNK_SPAN`] of 60 Hz tracking.
 pub(crate) const CHUNK_BYTES: u64 = 1 << 20;
 
+/// How this program writes logs: with `profile` in their header, chunks compressed by the writing thread.
+pub(crate) fn write_options(profile: &str) -> mcap::WriteOptions {
+    mcap::WriteOptions::new()
+        .profile(profile)
+        .library(format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER))
+        .compression(Some(mcap::Compression::Zstd))
+        .compression_threads(0)
+}
+
 /// Whether the file at `path` begins as logs do, or is named as they are: its first bytes may be damaged. Pipes and
 /// devices are not opened: they may wait, and what is read of them is lost.
 pub fn is_log(path: &Path) -> bool {

@@ -5,10 +5,10 @@
 
 use super::condition::Condition;
 use super::records::{self, LOST, REPAIR};
-use super::{CHUNK_BYTES, CHUNK_SPAN, LogError, is_being_written};
+use super::{CHUNK_BYTES, CHUNK_SPAN, LogError, is_being_written, write_options};
 use crate::atomic_file::{NewFile, backup_names};
 use mcap::records::{Channel, Metadata, Record};
-use mcap::{Attachment, Compression, McapError, WriteOptions};
+use mcap::{Attachment, McapError};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, ErrorKind};
@@ -111,15 +111,7 @@ fn copy(from: &Path, to: File, topics: &Topics, lost: Option<String>) -> Result<
         other => LogError::Repair { path: from.to_owned(), reason: other.to_string() },
     };
     let file = BufWriter::new(to);
-    let library = format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER);
-    let mut writer = WriteOptions::new()
-        .profile(&topics.profile)
-        .library(library)
-        .compression(Some(Compression::Zstd))
-        .compression_threads(0)
-        .chunk_size(Some(CHUNK_BYTES))
-        .create(file)
-        .map_err(failed)?;
+    let mut writer = write_options(&topics.profile).chunk_size(Some(CHUNK_BYTES)).create(file).map_err(failed)?;
     for (id, (name, encoding, data)) in topics.schemas.iter().filter(|(id, _)| **id != 0) {
         writer.add_schema_with_id(*id, name, encoding, data).map_err(failed)?;
     }

@@ -11,8 +11,7 @@
 use super::sheet::Sheet;
 use super::{Current, Recording, SeriesError};
 use crate::source::current_columns::{CurrentColumns, TimeColumn};
-use crate::source::times::decimal_seconds;
-use crate::source::times::seconds;
+use crate::source::times::{decimal_seconds, seconds};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 

@@ -94,10 +94,9 @@ impl Reel {
         lock(&index.state).stamps_ns.push(first.stamp.ns);
         let mut hand = ReelState { reader: Some((1, source)), ..ReelState::default() };
         hand.kept.push_back((0, Arc::new(first)));
-        let (content, hand) = (Arc::default(), Mutex::new(hand));
-        let (whole, at) = (path.to_owned(), Arc::clone(&index));
-        let reel = Self { path: whole, changed, options, asked_rate, size_px, hint, index: at, content, hand };
-        let (index, path) = (Arc::clone(&reel.index), path.to_owned());
+        let (path, content, hand) = (path.to_owned(), Arc::default(), Mutex::new(hand));
+        let reel = Self { path, changed, options, asked_rate, size_px, hint, index, content, hand };
+        let (index, path) = (Arc::clone(&reel.index), reel.path.clone());
         let read = move || index.fill(&path, SourceOptions { decoder_threads: 1, ..options });
         Builder::new().name("studio index".to_owned()).spawn(read).map_err(Refusal::wrong)?;
         Ok(Arc::new(reel))

@@ -5,7 +5,7 @@ use super::places::{changed, opened};
 use crate::archive::RunSummary;
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{float, floats, inner, list, number, optional_number, text, whole, word, xyz};
-use crate::log::schema::{LOG_FILE, RIG_ATTACHMENT, TABLE_FILE, Topic};
+use crate::log::schema::{LOG_FILE, RIG_ATTACHMENT, TABLE_FILE, Topic, pictures_file};
 use crate::log::{is_being_written, records};
 use crate::rig::Rig;
 use crate::series::Recording;
@@ -103,24 +103,6 @@ pub(super) struct Seen {
     pub(super) outline_px: Vec<[f32; 2]>,
 }
 
-impl Row {
-    /// `ok`, or the word of the reason why there is no θ: that of the coil if it was not measured, else of the first
-    /// marker that was not.
-    fn word(&self, markers: &[String], coil: usize) -> String {
-        if self.theta.is_some() {
-            return "ok".to_owned();
-        }
-        let all = self.statuses.iter().zip(markers).enumerate();
-        let missed = all.filter(|(_, (status, _))| *status != "ok" && !status.is_empty());
-        let first = missed.min_by_key(|(m, _)| *m != coil);
-        match (self.theta_status.as_str(), first) {
-            ("" | "marker_missing", Some((_, (status, marker)))) => format!("{marker}_{status}"),
-            ("", None) => "missing".to_owned(),
-            (word, _) => word.to_owned(),
-        }
-    }
-}
-
 impl Run {
     /// Reads the run in a folder.
     pub(super) fn read(folder: &Path) -> Result<Self, Refusal> {
@@ -148,9 +130,21 @@ impl Run {
         Ok(run)
     }
 
-    /// `ok`, or the word of the reason why a row has no θ.
+    /// `ok`, or the word of the reason why a row has no θ: that of the coil if it was not measured, else of the first
+    /// marker that was not.
     pub(super) fn word(&self, row: &Row) -> String {
-        row.word(&self.markers, self.rig.as_ref().map_or(usize::MAX, |rig| rig.catheter.coil))
+        if row.theta.is_some() {
+            return "ok".to_owned();
+        }
+        let coil = self.rig.as_ref().map(|rig| rig.catheter.coil);
+        let all = row.statuses.iter().zip(&self.markers).enumerate();
+        let missed = all.filter(|(_, (status, _))| *status != "ok" && !status.is_empty());
+        let first = missed.min_by_key(|(m, _)| Some(*m) != coil);
+        match (row.theta_status.as_str(), first) {
+            ("" | "marker_missing", Some((_, (status, marker)))) => format!("{marker}_{status}"),
+            ("", None) => "missing".to_owned(),
+            (word, _) => word.to_owned(),
+        }
     }
 
     /// SHA-256 of the recording when it was tracked, if the run is finished.
@@ -160,10 +154,9 @@ impl Run {
 
     /// The video, of those that were recorded with it, in which the picture of this time must be.
     pub(super) fn pictures_of(&self, stamp_ns: i64) -> Option<&Path> {
-        let name = |n: u32| if n == 1 { "pictures.mkv".to_owned() } else { format!("pictures-{n}.mkv") };
         let first_ns = |path: &Path| Some(opened(path, SourceOptions::default()).ok()?.next_frame().ok()??.stamp.ns);
         let all = self.pictures.get_or_init(|| {
-            let paths = (1..).map(|n| self.folder.join(name(n))).take_while(|path| path.is_file());
+            let paths = (1..).map(|n| self.folder.join(pictures_file(n))).take_while(|path| path.is_file());
             paths.filter_map(|path| Some((path.clone(), first_ns(&path)?))).collect()
         });
         all.iter().rfind(|(_, first_ns)| *first_ns <= stamp_ns).map(|(path, _)| path.as_path())

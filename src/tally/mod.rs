@@ -338,6 +338,12 @@ impl Tally {
         reasons
     }
 
+    /// Frames that were skipped because the tracker did not keep up.
+    pub fn skipped(&self) -> u64 {
+        let overload = Miss::SkippedOverload.word(&[]);
+        self.reasons("tangent").into_iter().find(|(word, _)| *word == overload).map_or(0, |(_, frames)| frames)
+    }
+
     /// Camera time from the first frame to the last, seconds.
     pub fn duration_s(&self) -> f64 {
         seconds(self.last_ns.saturating_sub(self.first_ns))

@@ -143,8 +143,8 @@ pub enum MirrorError {
     NoScale,
     /// Too few bands are seen.
     #[error(
-        "bands are seen in two views at once in only {seen} of {frames} frames; at least {MIN_FRAMES} are needed: is the \
-         rig that of the recording, and a length of --length that of the bands?"
+        "bands are seen in two views at once in only {seen} of {frames} frames; at least {MIN_FRAMES} are needed: is \
+         the rig that of the recording, and a length of --length that of the bands?"
     )]
     TooFew {
         /// Frames with such bands.

@@ -10,8 +10,8 @@
 //! ρ is that of all residuals together, up to the first lag at which it is not clearly above 0: errors of the model
 //! that change slowly count as well.
 //!
-//! Where errors have different sizes, that widens σ as well ([`crate::varying_noise`]): a fast motion has larger errors,
-//! and it alone tells a delay.
+//! Where errors have different sizes, that widens σ as well ([`crate::varying_noise`]): a fast motion has larger
+//! errors, and it alone tells a delay.
 //!
 //! Cannot tell: errors that last as long as the runs themselves.
 

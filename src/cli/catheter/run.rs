@@ -8,8 +8,7 @@ use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, rec
 use crate::log::schema::table;
 use crate::plural::plural;
 use crate::series::CurrentTable;
-use crate::source::times::decimal_seconds;
-use crate::source::times::seconds;
+use crate::source::times::{decimal_seconds, seconds};
 use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

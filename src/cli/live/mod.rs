@@ -15,7 +15,7 @@ use super::units::seconds;
 use super::warned::Work;
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::archive::{Hashes, Measured, early_end, hash};
-use crate::estimate::{Miss, Spot};
+use crate::estimate::Spot;
 use crate::live::{self, CurrentSource, Currents, LiveSummary, Outputs, Priority, RecordSwitch, Until};
 use crate::pipeline::End;
 use crate::plural::plural;
@@ -267,9 +267,7 @@ fn lines(summary: &LiveSummary, recorded_from_the_beginning: bool) -> String {
             ms(latency.max_us)
         );
     }
-    if summary.run.tally.reasons("tangent").iter().any(|(word, _)| *word == Miss::SkippedOverload.word(&[]))
-        && matches!(summary.priority, Priority::Ordinary | Priority::WithinSession)
-    {
+    if summary.run.tally.skipped() > 0 && matches!(summary.priority, Priority::Ordinary | Priority::WithinSession) {
         text += &format!("{}\n", summary.priority);
     }
     let interruptions = summary.run.source.interruptions;

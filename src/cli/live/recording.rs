@@ -1,9 +1,8 @@
 //! Pictures of a live run: from its beginning as `--record` says, and begun and ended in the browser with `--studio`.
 
 use super::super::run::Record;
-use super::super::run::folder::PICTURES;
 use crate::live::{RecordSwitch, RecordTo, Recording, SwitchedRecording};
-use crate::log::schema::LOG_FILE;
+use crate::log::schema::{LOG_FILE, PICTURES_FILE, pictures_file};
 use crate::sink::{PictureCount, PictureVideo, Sink, SinkError};
 use std::fs::OpenOptions;
 use std::io::ErrorKind;
@@ -17,7 +16,7 @@ pub(super) fn record_words() -> Vec<&'static str> {
 
 /// Where `record` puts its pictures, for people.
 fn place(record: Record) -> &'static str {
-    record.codec().map_or(LOG_FILE, |_| PICTURES)
+    record.codec().map_or(LOG_FILE, |_| PICTURES_FILE)
 }
 
 /// The switch of a run that is recorded from its beginning as `record` says.
@@ -58,12 +57,12 @@ fn open(folder: &Path, record: Option<Record>) -> Result<(RecordTo, String), Sin
 
 /// `pictures.mkv`, or `pictures-2.mkv` and so on where those before are taken; now it is taken, too.
 fn free(folder: &Path) -> Result<PathBuf, SinkError> {
-    let mut path = folder.join(PICTURES);
+    let mut path = folder.join(PICTURES_FILE);
     for number in 2_u32.. {
         match OpenOptions::new().write(true).create_new(true).open(&path) {
             Ok(_) => return Ok(path),
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {
-                path = folder.join(PICTURES.replace(".mkv", &format!("-{number}.mkv")));
+                path = folder.join(pictures_file(number));
             }
             Err(source) => return Err(SinkError::Io { path, source }),
         }

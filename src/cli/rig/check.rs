@@ -70,8 +70,8 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
     let share = share(draft, &some).map_err(|e| unusable(&e))?;
     let mut text = format!("\nthe calibration's share of errors at the catheter in {} (1σ)", recording.display());
     text += &format!(
-        "\n  θ                  {:.4}°, at the worst moment {:.4}°\n  tip, a coordinate  {:.4} mm, at the worst moment \
-         {:.4} mm\n",
+        "\n  θ                  {:.4}°, at the worst moment {:.4}°\n  tip, a coordinate  {:.4} mm, at the worst \
+         moment {:.4} mm\n",
         share.theta_rad.0.to_degrees(),
         share.theta_rad.1.to_degrees(),
         of_coordinate(share.tip_m.0) * 1e3,

@@ -12,7 +12,7 @@ use super::super::{Exit, Failure};
 use super::options::Record;
 use crate::archive::{FileRecord, RunSummary, SUMMARY, hash};
 use crate::atomic_file;
-use crate::log::schema::{LOG_FILE, TABLE_FILE};
+use crate::log::schema::{LOG_FILE, PICTURES_FILE, TABLE_FILE};
 use crate::tally::budget::{Contribution, together};
 use crate::vetoes;
 use serde::{Deserialize, Serialize};
@@ -22,12 +22,10 @@ use std::io::{self, ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 
 const OVERLAY: &str = "overlay.mp4";
-/// The video of the pictures.
-pub(in crate::cli) const PICTURES: &str = "pictures.mkv";
 /// In place of the name of a table: stdout.
 const STDOUT: &str = "-";
 /// All files that a run may write into its folder. The summary comes first, so that it is removed before the others.
-const ALL: [&str; 7] = [SUMMARY, RUN, LOG_FILE, TABLE_FILE, REPORT, OVERLAY, PICTURES];
+const ALL: [&str; 7] = [SUMMARY, RUN, LOG_FILE, TABLE_FILE, REPORT, OVERLAY, PICTURES_FILE];
 
 /// The files of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -125,7 +123,7 @@ impl Files {
 
     /// Also the video of the pictures, if `record` makes one.
     pub(in crate::cli) fn recording(mut self, record: Option<Record>) -> Self {
-        self.pictures = record.filter(|record| *record != Record::Windows).map(|_| self.folder.join(PICTURES));
+        self.pictures = record.filter(|record| *record != Record::Windows).map(|_| self.folder.join(PICTURES_FILE));
         self
     }
 

@@ -10,6 +10,7 @@ pub(super) use options::{LogFor, Record, Reference};
 use super::{Exit, Failure};
 use crate::archive::transient::is_transient;
 use crate::log;
+use crate::log::schema::PICTURES_FILE;
 use crate::log::schema::RIG_ATTACHMENT;
 use crate::pipeline::{End, Summary};
 use crate::plural::plural;
@@ -19,7 +20,7 @@ use crate::rig::{Rig, RigError, View};
 use crate::sink::{CsvSink, McapSink, OutputFrame, OverlaySink, PictureCount, PictureVideo, Sink, SinkError};
 use crate::source::times::seconds;
 use crate::text_file;
-use folder::{Files, PICTURES};
+use folder::Files;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -122,7 +123,7 @@ pub(super) fn open_sinks(
     let open = || -> Result<Opened, SinkError> {
         let mut log = McapSink::of_profile(profile.into(), &files.log, rig, rig_toml, run_toml)?;
         if let Some(record) = record {
-            let what = record.codec().map_or(record.word(), |_| PICTURES);
+            let what = record.codec().map_or(record.word(), |_| PICTURES_FILE);
             log = log.with_pictures(what, Arc::clone(&count));
         } else if counts {
             log = log.with_picture_count(Arc::clone(&count));

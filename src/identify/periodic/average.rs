@@ -93,8 +93,8 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
     let samples = exact.round().max(0.0) as usize;
     if samples < 8 {
         return Err(format!(
-            "a period of {repeats_s} s is {exact:.2} samples of {period_s:.6} s, and must be 8 at least: is it what the \
-             excitation repeats after?"
+            "a period of {repeats_s} s is {exact:.2} samples of {period_s:.6} s, and must be 8 at least: is it what \
+             the excitation repeats after?"
         ));
     }
     if (exact - samples as f64).abs() > WHOLE_TOLERANCE {

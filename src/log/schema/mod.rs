@@ -37,6 +37,14 @@ pub(crate) const LOG_FILE: &str = "log.mcap";
 /// Name of the table in the folder of a run.
 pub(crate) const TABLE_FILE: &str = "track.csv";
 
+/// Name of the video of the pictures in the folder of a run.
+pub(crate) const PICTURES_FILE: &str = "pictures.mkv";
+
+/// Name of the video of that number, from 1, where there are several.
+pub(crate) fn pictures_file(number: u32) -> String {
+    if number == 1 { PICTURES_FILE.to_owned() } else { PICTURES_FILE.replace(".mkv", &format!("-{number}.mkv")) }
+}
+
 /// Name of the attached copy of schemas and channels: their records, one after another.
 pub(crate) const TOPICS_ATTACHMENT: &str = "topics";
 

@@ -65,7 +65,8 @@ pub(crate) fn page(validation: &Validation, settings: &Settings, model: Option<&
     body += &frames(validation);
     body += &facts(validation, settings);
     body += &page::footer(
-        "Errors are root mean squares of distances in space, base frame. Phase is negative for a response that is late.",
+        "Errors are root mean squares of distances in space, base frame. Phase is negative for a response that is \
+         late.",
     );
     page::page(&format!("Validation along {}", validation.name()), &body)
 }

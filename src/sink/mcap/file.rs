@@ -11,11 +11,11 @@
 use super::form::{FileMessage, FileTopic};
 use crate::log::records::plain_records;
 use crate::log::schema::TOPICS_ATTACHMENT;
-use crate::log::{CHUNK_BYTES, CHUNK_SPAN};
+use crate::log::{CHUNK_BYTES, CHUNK_SPAN, write_options};
 use crate::sink::{SinkError, same_error, settle};
 use mcap::records::{MessageHeader, Metadata, op};
 use mcap::write::NoSeek;
-use mcap::{Attachment, Compression, McapError, McapResult, WriteOptions};
+use mcap::{Attachment, McapError, McapResult, WriteOptions};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -83,11 +83,7 @@ impl LogFile {
         if let Err(error) = rustix::fs::flock(&file, rustix::fs::FlockOperation::NonBlockingLockExclusive) {
             tracing::debug!("{}: cannot be locked: {error}", path.display());
         }
-        let writer = WriteOptions::new()
-            .profile(profile)
-            .library(format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER))
-            .compression(Some(Compression::Zstd))
-            .compression_threads(0)
+        let writer = write_options(profile)
             .chunk_size(Some(CHUNK_BYTES))
             .disable_seeking(true)
             .create(NoSeek::new(BufWriter::new(file)))

@@ -51,8 +51,8 @@ pub(super) const MOVED: &str = "the base band, which should rest, is not where i
 pub(super) const SWINGS: &str = "the base band, which should rest, swings with the coil by half a millimetre or more: \
      it is too far from its clamp, which does not harm positions, or the picture moves with the coil (a stand that \
      gives way, a stabiliser), which moves all of them by as much, and σ does not cover that: clamp the tube close to \
-     the band, and the camera firmly. If the first band is the one at the free end, base frame and sign of θ are wrong: \
-     teach the bands in their order from the clamp";
+     the band, and the camera firmly. If the first band is the one at the free end, base frame and sign of θ are \
+     wrong: teach the bands in their order from the clamp";
 pub(super) const LAMP_CHANGED: &str = "the lamp's two levels have changed, by the exposure, the light or the camera: \
      they were learned anew, and changes meanwhile may not be counted";
 /// After the numbers (diameter.rs).
