@@ -159,6 +159,7 @@ mod tests {
         let ticks = run.ticks().unwrap().unwrap();
         assert_eq!((ticks.times_ns.len(), ticks.modulus), (3, 4));
         assert_eq!(ticks.times_ns[2], (123_885_405_000 + 123_902_064_000) / 2);
+        assert_eq!(read_text(&format!("\u{feff}{ROWS}")).unwrap().frames, run.frames);
     }
 
     #[test]

@@ -22,7 +22,6 @@ pub(crate) fn is_play(path: &Path) -> bool {
 /// The list as a table: `t_s` from 0, a column `channel_N` for each channel up to the highest.
 pub(super) fn read(path: &Path) -> Result<CurrentTable, SeriesError> {
     let text = text_of(path)?;
-    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     let mut changes: Vec<(i64, usize, f64)> = Vec::new();
     let mut time_ns = 0_i64;
     for (line, content) in (1..).zip(text.lines()).filter(|(_, content)| !content.trim().is_empty()) {

@@ -16,6 +16,8 @@ use std::path::{Path, PathBuf};
 
 /// Largest table, bytes: a device such as /dev/zero has no end.
 const LARGEST: u64 = 1 << 30;
+/// What some programs begin text in UTF-8 with.
+const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
 /// Bytes examined to tell whether it is text.
 const BEGINNING: u64 = 4096;
 
@@ -79,14 +81,13 @@ impl Sheet {
     pub(super) fn read(path: &Path) -> Result<Self, SeriesError> {
         let content = |problem: &str| SeriesError::Content { path: path.to_owned(), problem: problem.to_owned() };
         let text = text_of(path)?;
-        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let is_data = |line: &str| !line.trim().is_empty() && !line.trim_start().starts_with(['#', '%']);
         let Some(first) = text.lines().find(|line| is_data(line)) else {
             return Err(content("is empty; expected a table of numbers (CSV)"));
         };
         let mut rows = match [',', ';', '\t'].into_iter().find(|separator| first.contains(*separator)) {
-            Some(separator) => separated(path, text, separator as u8)?,
-            None => spaced(text),
+            Some(separator) => separated(path, &text, separator as u8)?,
+            None => spaced(&text),
         };
         rows.retain(|row| row.cells.len() > 1 || row.cells.iter().any(|cell| !cell.is_empty()));
         if let Some(row) = rows.first() {
@@ -208,13 +209,13 @@ impl Sheet {
     }
 }
 
-/// The text of a file.
+/// The text of a file, without a byte order mark.
 ///
 /// # Errors
 /// When it cannot be read, is not text, or larger than any table.
 pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
     let content = |problem: &str| SeriesError::Content { path: path.to_owned(), problem: problem.to_owned() };
-    let bytes = match text_bytes(path) {
+    let mut bytes = match text_bytes(path) {
         Ok(Ok(bytes)) => bytes,
         Ok(Err(begin)) if is_utf_16(&begin) => return Err(content("is text in UTF-16; save it as UTF-8")),
         Ok(Err(_)) => return Err(content("is no text; expected a table of numbers (CSV)")),
@@ -222,6 +223,9 @@ pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
     };
     if bytes.len() as u64 > LARGEST {
         return Err(content("is larger than 1 GiB; expected a table of numbers (CSV)"));
+    }
+    if bytes.starts_with(BYTE_ORDER_MARK) {
+        bytes.drain(..BYTE_ORDER_MARK.len());
     }
     String::from_utf8(bytes).map_err(|_| content("is no text; expected a table of numbers (CSV)"))
 }

@@ -22,6 +22,19 @@ const MANY_REPEATED: f64 = 0.2;
 /// Frames per period below which amplitudes suffer.
 const FEW_FRAMES: f64 = 8.0;
 
+/// `half_left_out`: of the last period, the half that may lie beyond the commands does not count.
+pub(super) fn start_by_correlation(half_left_out: bool) -> String {
+    let end = if half_left_out {
+        "the last half of a period, where so late a start leads beyond the commands, is left out"
+    } else {
+        "the end of the only period that counts may lie beyond the commands"
+    };
+    format!(
+        "the start was found by correlation, which absorbs the lag: there is no phase, and errors are without it too; \
+         {end}"
+    )
+}
+
 pub(super) fn weak_correlation(lag: Option<&Lag>) -> Option<String> {
     let weak = lag.filter(|lag| lag.correlation < WEAK_CORRELATION)?;
     Some(format!("the motion hardly correlates with the path ({:.2}): its phase means little", weak.correlation))

@@ -125,16 +125,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         timing(path, observed, &samples, options)?;
     said.extend(note);
     if start_from == StartFrom::Search {
-        said.push(
-            "the start was found by correlation, which absorbs the lag: there is no phase, and errors are without it \
-             too"
-            .to_owned()
-                + if window.commands < path.commands() {
-                    "; the last half of a period, where so late a start leads beyond the commands, is left out"
-                } else {
-                    "; the end of the only period that counts may lie beyond the commands"
-                },
-        );
+        said.push(notes::start_by_correlation(window.commands < path.commands()));
     }
     let pause_ns = window.pause_ns;
 

@@ -1,7 +1,9 @@
 //! Poses of the board: steps, derivatives, and conversion from OpenCV's form.
 
-use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
-use opencv::core::{Mat, MatTraitConst};
+use crate::optics::Lens;
+use nalgebra::{Isometry3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use opencv::calib3d;
+use opencv::core::{Mat, MatExprTraitConst, MatTraitConst, Point2f, Point3f, Vector};
 
 /// A pose moved by a step: translation in the camera frame, then rotation vector about the board's origin in its own
 /// axes.
@@ -26,6 +28,36 @@ pub(crate) fn pose_from_opencv(turn: &Mat, shift: &Mat) -> opencv::Result<Isomet
     };
     let turn = UnitQuaternion::from(Rotation3::new(vector(turn)?));
     Ok(Isometry3::from_parts(Translation3::from(vector(shift)?), turn))
+}
+
+/// The shape of what is seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum TargetShape {
+    Flat,
+    Solid,
+}
+
+/// Pose of a target from one image, as if in air: OpenCV's `solvePnP` on undistorted points. `None` where there is none.
+pub(crate) fn seen_pose(
+    lens: &Lens,
+    points: &[(Point3<f64>, Point2<f64>)],
+    shape: TargetShape,
+) -> opencv::Result<Option<Isometry3<f64>>> {
+    let seen = || points.iter().filter_map(|(place, pixel)| Some((place, lens.undistort(pixel)?)));
+    let objects: Vector<Point3f> = seen().map(|(p, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32)).collect();
+    let images: Vector<Point2f> = seen().map(|(_, n)| Point2f::new(n.x as f32, n.y as f32)).collect();
+    let camera = Mat::eye(3, 3, opencv::core::CV_64F)?.to_mat()?;
+    let (mut turn, mut shift) = (Mat::default(), Mat::default());
+    let method = match shape {
+        TargetShape::Flat => calib3d::SOLVEPNP_IPPE,
+        TargetShape::Solid => calib3d::SOLVEPNP_SQPNP,
+    };
+    let none = Mat::default();
+    if !calib3d::solve_pnp(&objects, &images, &camera, &none, &mut turn, &mut shift, false, method)? {
+        return Ok(None);
+    }
+    let pose = pose_from_opencv(&turn, &shift)?;
+    Ok(pose.to_homogeneous().iter().all(|v| v.is_finite()).then_some(pose))
 }
 
 /// The largest angle between the normals of two boards.

@@ -111,6 +111,12 @@ pub enum RigCalibrationError {
         /// Whether it should be mirrored.
         mirrored: bool,
     },
+    /// A taped board without a pose.
+    #[error("{name}: no position of the board fits its corners; take the picture again, or leave it out")]
+    NoTapedPose {
+        /// The picture.
+        name: String,
+    },
     /// OpenCV failed.
     #[error("no first guess: {0}")]
     OpenCv(#[from] opencv::Error),

@@ -10,12 +10,10 @@
 //! out a quarter too short: good enough for a start.
 
 use crate::calibrate::board::{Board, BoardImage};
-use crate::calibrate::bundle::pose::pose_from_opencv;
+use crate::calibrate::bundle::pose::{TargetShape, seen_pose};
 use crate::median::upper_median;
 use crate::optics::Lens;
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
-use opencv::calib3d;
-use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
 
 /// Lines between the corners of an image and of its reflection may be this far from parallel (tangent of the angle,
 /// RMS): unmodelled refraction bends them; a wrong order of corners gives far more.
@@ -143,7 +141,6 @@ struct Reflection {
 
 /// Assigns images to views and mirrors; `mirrors` is the number of mirrors.
 pub(crate) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirrors: usize) -> opencv::Result<Initial> {
-    let places = board.centred_points();
     let mut left_out = Vec::new();
     let mut direct: Vec<(usize, Image)> = Vec::new();
     let mut reflections: Vec<Reflection> = Vec::new();
@@ -159,51 +156,13 @@ pub(crate) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
             left_out.push((picture, Unusable::Duplicate(other.name.clone())));
             continue;
         }
-        let mut posed = Vec::new();
-        for image in &images.images {
-            let corners = ordered(&places, image, None);
-            posed.push((pose(lens, &corners)?, corners, image));
-        }
-        if flipped(&posed) {
-            left_out.push((picture, Unusable::Flipped));
-            continue;
-        }
-        let mirrored = |image: &BoardImage| image.mirrored == Some(true);
-        let distance = |pose: &Isometry3<f64>| pose.translation.vector.norm();
-        posed.sort_by(|a, b| mirrored(a.2).cmp(&mirrored(b.2)).then(distance(&a.0).total_cmp(&distance(&b.0))));
-        let Some(((nearest, corners, first), others)) = posed.split_first() else { continue };
-        if mirrored(first) {
-            left_out.push((picture, Unusable::OnlyMirrored));
-            continue;
-        }
-        if others.is_empty() {
-            left_out.push((picture, Unusable::Once));
-            continue;
-        }
-        let mut spreads = Vec::new();
-        for (_, _, image) in others {
-            let mut best: Option<(f64, Reflection)> = None;
-            for order in board.orders() {
-                let corners_there = ordered(&places, image, Some(&order));
-                let there = pose(lens, &corners_there)?;
-                let (spread, normal, offset_m) = mirror_between(places.iter().map(|p| (nearest * p, there * p)));
-                if best.as_ref().is_none_or(|(least, _)| spread < *least) {
-                    let image = Image { corners: corners_there, relative_sd: Vec::new(), pose: there };
-                    best = Some((spread, Reflection { picture, normal, offset_m, image }));
-                }
+        match views_of(picture, images, board, lens)? {
+            Ok((nearest, seen)) => {
+                direct.push((picture, nearest));
+                reflections.extend(seen);
             }
-            match best {
-                Some((spread, reflection)) if spread < PARALLEL => reflections.push(reflection),
-                Some((spread, _)) => spreads.push(spread),
-                None => {}
-            }
+            Err(unusable) => left_out.push((picture, unusable)),
         }
-        if spreads.len() == others.len() {
-            let spread = spreads.into_iter().fold(f64::INFINITY, f64::min);
-            left_out.push((picture, Unusable::NoReflection { spread }));
-            continue;
-        }
-        direct.push((picture, Image { corners: corners.clone(), relative_sd: Vec::new(), pose: *nearest }));
     }
     let groups = group(&reflections, mirrors);
     let mut sorted: Vec<SortedPicture> = direct
@@ -253,24 +212,54 @@ pub(crate) fn ordered(
     image.corners.iter().filter_map(|(i, pixel)| Some((*places.get(corner(*i)?)?, *pixel))).collect()
 }
 
-/// Pose of a board from one image, as if in air: OpenCV's `solvePnP` on undistorted corners.
-pub(crate) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
-    let seen = || corners.iter().filter_map(|(place, pixel)| Some((place, lens.undistort(pixel)?)));
-    let objects: Vector<Point3f> = seen().map(|(p, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32)).collect();
-    let images: Vector<Point2f> = seen().map(|(_, n)| Point2f::new(n.x as f32, n.y as f32)).collect();
-    let camera = Mat::eye(3, 3, opencv::core::CV_64F)?.to_mat()?;
-    let (mut turn, mut shift) = (Mat::default(), Mat::default());
-    calib3d::solve_pnp(
-        &objects,
-        &images,
-        &camera,
-        &Mat::default(),
-        &mut turn,
-        &mut shift,
-        false,
-        calib3d::SOLVEPNP_IPPE,
-    )?;
-    pose_from_opencv(&turn, &shift)
+/// The direct image of a picture, which is the nearest, and its reflections; or why the picture is of no use.
+fn views_of(
+    picture: usize,
+    images: &BoardsPicture,
+    board: &Board,
+    lens: &Lens,
+) -> opencv::Result<Result<(Image, Vec<Reflection>), Unusable>> {
+    let places = board.centred_points();
+    let mut posed = Vec::new();
+    for image in &images.images {
+        let corners = ordered(&places, image, None);
+        let Some(pose) = seen_pose(lens, &corners, TargetShape::Flat)? else { return Ok(Err(Unusable::NoPose)) };
+        posed.push((pose, corners, image));
+    }
+    if flipped(&posed) {
+        return Ok(Err(Unusable::Flipped));
+    }
+    let mirrored = |image: &BoardImage| image.mirrored == Some(true);
+    let distance = |pose: &Isometry3<f64>| pose.translation.vector.norm();
+    posed.sort_by(|a, b| mirrored(a.2).cmp(&mirrored(b.2)).then(distance(&a.0).total_cmp(&distance(&b.0))));
+    let (nearest, corners, others) = match posed.split_first() {
+        Some(((_, _, first), _)) if mirrored(first) => return Ok(Err(Unusable::OnlyMirrored)),
+        Some(((nearest, corners, _), others)) if !others.is_empty() => (nearest, corners, others),
+        _ => return Ok(Err(Unusable::Once)),
+    };
+    let mut reflections = Vec::new();
+    let mut least_spread = f64::INFINITY;
+    for (_, _, image) in others {
+        let mut best: Option<(f64, Reflection)> = None;
+        for order in board.orders() {
+            let corners = ordered(&places, image, Some(&order));
+            let Some(pose) = seen_pose(lens, &corners, TargetShape::Flat)? else { continue };
+            let (spread, normal, offset_m) = mirror_between(places.iter().map(|p| (nearest * p, pose * p)));
+            if best.as_ref().is_none_or(|(least, _)| spread < *least) {
+                let image = Image { corners, relative_sd: Vec::new(), pose };
+                best = Some((spread, Reflection { picture, normal, offset_m, image }));
+            }
+        }
+        match best {
+            Some((spread, reflection)) if spread < PARALLEL => reflections.push(reflection),
+            Some((spread, _)) => least_spread = least_spread.min(spread),
+            None => {}
+        }
+    }
+    if reflections.is_empty() {
+        return Ok(Err(Unusable::NoReflection { spread: least_spread }));
+    }
+    Ok(Ok((Image { corners: corners.clone(), relative_sd: Vec::new(), pose: *nearest }, reflections)))
 }
 
 /// The plane halfway between points and their reflections: deviation of the lines between them from parallel, the

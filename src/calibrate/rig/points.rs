@@ -12,12 +12,10 @@
 
 use super::error::RigCalibrationError;
 use super::initial::{Image, Initial, SortedPicture, Unusable, mirror_between, mirrors_alike};
-use crate::calibrate::bundle::pose::{by_pose, pose_from_opencv, turned};
+use crate::calibrate::bundle::pose::{TargetShape, by_pose, seen_pose, turned};
 use crate::csv_lines::Lines;
 use crate::optics::Lens;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point2, Point3, Vector3, Vector6};
-use opencv::calib3d;
-use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
 use std::path::{Path, PathBuf};
 
 /// Fewest points of a target in a view: a pose has six unknowns, a point gives two equations, and one more point is
@@ -293,20 +291,10 @@ impl Points {
             found if is_line(marked) => return Ok(Err(Unusable::OnLine { found })),
             _ => {}
         }
-        let seen = || marked.iter().filter_map(|m| Some((m.place, lens.undistort(&m.pixel)?)));
-        let object = |(p, _): (Point3<f64>, _)| Point3f::new(p.x as f32, p.y as f32, (depth * p.z) as f32);
-        let objects: Vector<Point3f> = seen().map(object).collect();
-        let images: Vector<Point2f> = seen().map(|(_, n)| Point2f::new(n.x as f32, n.y as f32)).collect();
-        let camera = Mat::eye(3, 3, opencv::core::CV_64F)?.to_mat()?;
-        let (mut turn, mut shift) = (Mat::default(), Mat::default());
-        let method = if self.is_flat() { calib3d::SOLVEPNP_IPPE } else { calib3d::SOLVEPNP_SQPNP };
-        let none = Mat::default();
-        if !calib3d::solve_pnp(&objects, &images, &camera, &none, &mut turn, &mut shift, false, method)? {
-            return Ok(Err(Unusable::NoPose));
-        }
-        let pose = pose_from_opencv(&turn, &shift)?;
-        let is_finite = pose.to_homogeneous().iter().all(|v| v.is_finite());
-        Ok(if is_finite { Ok(pose) } else { Err(Unusable::NoPose) })
+        let point = |m: &Marked| (Point3::new(m.place.x, m.place.y, depth * m.place.z), m.pixel);
+        let points: Vec<_> = marked.iter().map(point).collect();
+        let shape = if self.is_flat() { TargetShape::Flat } else { TargetShape::Solid };
+        Ok(seen_pose(lens, &points, shape)?.ok_or(Unusable::NoPose))
     }
 
     /// Adds how a view fits the target as given, with its pose and `depth`, and mirrored.

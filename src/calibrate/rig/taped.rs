@@ -1,8 +1,9 @@
 //! Boards taped flat to a wall: pictures that fix the wall's position.
 
 use super::error::{RigCalibrationError, surface};
-use super::initial::{ordered, pose};
+use super::initial::ordered;
 use crate::calibrate::board::{Board, BoardPicture};
+use crate::calibrate::bundle::pose::{TargetShape, seen_pose};
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{Bundle, Corner};
 use crate::calibrate::geometry::Geometry;
@@ -56,7 +57,8 @@ impl Taped {
         }
         let order = if odd { board.orders().into_iter().next() } else { None };
         let corners = ordered(&places, &picture.image, order.as_deref());
-        let mut seen = pose(lens, &corners)?;
+        let seen = seen_pose(lens, &corners, TargetShape::Flat)?;
+        let mut seen = seen.ok_or_else(|| RigCalibrationError::NoTapedPose { name: picture.name.clone() })?;
         // The board itself, not its reflection. I − 2nnᵀ is minus half a turn about n, and the factor that turns a flat
         // board's mirror image into a rotation, diag(1, 1, −1), is minus half a turn about z.
         for plane in &mirrors {

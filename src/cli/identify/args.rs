@@ -18,6 +18,9 @@ use clap::builder::RangedU64ValueParser;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
+/// The input of a log without Eq. 6.
+pub(super) const CURRENT: &str = "current";
+
 /// Orders searched when none are given, as far as the data allow.
 const ORDERS: RangeInclusive<usize> = 1..=20;
 /// Fewest samples per coefficient of a searched model.

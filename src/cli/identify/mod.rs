@@ -4,8 +4,10 @@ mod apply;
 mod args;
 mod columns_in_doubt;
 mod currents;
+mod on_grid;
 mod planes;
 mod reading;
+mod recorded;
 mod records;
 mod words;
 

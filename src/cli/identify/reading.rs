@@ -1,38 +1,19 @@
 //! From files to signals: reads, grids, cuts, decimates and detrends them; and a summary of each record.
 
 use super::super::{copies, provenance};
-use super::args::{Args, DelayArg, Range};
-use super::records::{self, Driven};
-use super::{columns_in_doubt, currents};
+use super::args::{Args, CURRENT, DelayArg, Range};
+use super::on_grid::{DECIMATION_NEEDS, Read, on_grid};
+use super::recorded::recorded;
+use super::{columns_in_doubt, records};
 use crate::cli::Failure;
-use crate::identify::data::from_recording::Observed;
-use crate::identify::data::grid::{Grid, GridError, Series, coarser, cut, resample, rounded_to};
-use crate::identify::data::hold::Held;
+use crate::identify::data::grid::Series;
 use crate::identify::data::plant::Plant;
 use crate::identify::data::prepare::{Detrend, Trend, decimate};
-use crate::identify::data::segments::Data;
-use crate::identify::data::segments::Record;
-use crate::identify::estimate::clock_delay::{self, Delay, Drift, Timing};
-use crate::identify::estimate::unknown_zero::Zero;
+use crate::identify::data::segments::{Data, Record};
 use crate::identify::model::reproduction::InitialState;
 use crate::identify::results::provenance::{Provenance, RecordSummary};
-use crate::series::{Recording, columns, unit_s};
+use crate::series::{columns, unit_s};
 use std::path::Path;
-
-/// Fewest samples after decimation.
-const DECIMATION_NEEDS: usize = 11;
-/// Angle below which all of a record is hardly a deflection in degrees.
-const LEAST_DEGREES: f64 = 1.0;
-/// A model that leaves more than this many times σ of θ lacks something.
-const MISFIT: f64 = 3.0;
-/// The input of a log without Eq. 6.
-const CURRENT: &str = "current";
-
-/// A record on its grid.
-struct Read {
-    record: Record,
-    summary: RecordSummary,
-}
 
 /// Prepared data for identification and validation.
 pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
@@ -196,215 +177,6 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
         ..RecordSummary::default()
     };
     Ok(Read { record, summary })
-}
-
-fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failure> {
-    if !args.resample {
-        let grid = Grid::of(&series.name, &series.time_s).map_err(Failure::usage)?;
-        let (record, bridged) = cut(series, &grid, args.bridge);
-        return Ok((record, grid, bridged));
-    }
-    if let Some(step_s) = rounded_to(series) {
-        tracing::warn!(
-            "{}: its times are whole multiples of {step_s} s, a large part of the time from row to row, and uneven: if \
-             they were rounded, they are wrong by up to half of that, and H(s) by many times its σ: export them with \
-             more digits",
-            series.name
-        );
-    }
-    // Fewer samples than there are: the input is not held for a whole new period, which decimation accounts for.
-    let factor = args.period.map_or(Ok(1), |period| coarser(series, period)).map_err(Failure::usage)?;
-    let resampled = resample(series, args.period.map(|period| period / factor as f64)).map_err(Failure::usage)?;
-    let grid = Grid::of(&resampled.name, &resampled.time_s).map_err(Failure::usage)?;
-    let (record, bridged) = cut(&resampled, &grid, args.bridge);
-    if factor == 1 {
-        return Ok((record, grid, bridged));
-    }
-    let thin = decimate(&record, factor, grid.period_s);
-    if thin.observed() == 0 && record.observed() > 0 {
-        return Err(Failure::usage(format!(
-            "{}: --period {} leaves nothing: its filter needs {DECIMATION_NEEDS} such periods without a hole",
-            series.name,
-            args.period.unwrap_or(grid.period_s)
-        )));
-    }
-    Ok((thin, Grid { period_s: grid.period_s * factor as f64, ..grid }, bridged))
-}
-
-/// A record from θ and currents of a run.
-fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>) -> Result<Read, Failure> {
-    let name = file.display().to_string();
-    if plant.is_none() && args.input.as_deref() != Some(CURRENT) {
-        return Err(Failure::usage(format!(
-            "{name}: what moves it? Give --plant PLANT.toml (Eq. 6, for logs), --input current (the current itself), \
-             or the columns of a table with --input, --output and --period"
-        )));
-    }
-    if args.period.is_some() && !args.resample {
-        return Err(Failure::usage(format!(
-            "{name}: has the camera's times: leave --period out, or add --resample, for which it is the new one"
-        )));
-    }
-    let Driven { recording, source, own_clock, currents, .. } = Driven::read(file, table)?;
-    let mut observed = Observed::of(&recording).map_err(Failure::usage)?;
-    let held = observed.commands(&source, &currents, args.coil).map_err(Failure::usage)?;
-    let end_s = observed.time_s.last().copied().unwrap_or_default();
-    currents::warn_of_values(&source, std::slice::from_ref(&held), end_s, plant.is_some());
-    match observed.grid() {
-        Ok(grid) => currents::warn_of_slow_log(&source, &held, grid.period_s),
-        Err(GridError::Uneven { period_s, .. } | GridError::RateChanges { period_s, .. }) if args.resample => {
-            currents::warn_of_slow_log(&source, &held, period_s);
-            // Between interpolated angles a delay would be off by milliseconds, many times its σ.
-            tracing::warn!(
-                "{name}: frames are not evenly spaced, from which neither the delay between commands and output, nor a \
-                 drift of the currents' clock, nor the zero of θ is estimated: that they are right is not checked"
-            );
-        }
-        Err(_) => {}
-    }
-    let largest_rad = observed.theta_rad.iter().flatten().fold(0.0, |largest: f64, theta| largest.max(theta.abs()));
-    if largest_rad < LEAST_DEGREES.to_radians() {
-        let largest = largest_rad.to_degrees();
-        tracing::warn!("{name}: θ is never beyond {largest:.3}°: is the table's column in radians?");
-    }
-    let middle_s = observed.time_s.last().map_or(0.0, |end| 0.5 * end);
-    let apparent = apparent_delay(args, &observed, &held, plant, own_clock.then_some(middle_s));
-    let delay_s = match (args.delay, &apparent) {
-        (DelayArg::Given(seconds), _) => seconds,
-        (DelayArg::Auto, Some(delay)) => match delay.others_in_words() {
-            None => delay.delay_s,
-            Some(others) => {
-                return Err(Failure::usage(format!(
-                    "{name}: the delay between commands and output cannot be told: besides {:.1} ms, {others} explain \
-                     the record about as well; commands over a wider band of frequencies would tell, or give it with \
-                     --delay",
-                    delay.delay_s * 1e3
-                )));
-            }
-        },
-        (DelayArg::Auto, None) => {
-            return Err(Failure::usage(format!(
-                "{name}: no delay between commands and output could be estimated; give it with --delay"
-            )));
-        }
-    };
-    if let Some(others) = apparent.as_ref().and_then(Delay::others_in_words) {
-        tracing::warn!(
-            "{name}: delays of the output by {others} would explain the record about as well, and the right one may \
-             lie in between: whether the times of the commands are right cannot be told (does the output move only in \
-             a narrow band of frequencies, or are commands missing?)"
-        );
-    }
-    let told = apparent.as_ref().filter(|delay| delay.others_s.is_empty());
-    let matters = |delay: &Delay| args.delay == DelayArg::Auto || delay.is_before(delay_s);
-    let bent = told.filter(|delay| matters(delay)).and_then(|delay| Some((delay, misfit(&recording, delay)?)));
-    if let Some((delay, times)) = bent {
-        tracing::warn!(
-            "{name}: the delay between commands and output, {:.1} ± {:.1} ms, is that of a model of second order, \
-             which leaves {times:.0} times σ of θ: it makes up for what the model lacks, and may be off by many times \
-             its σ",
-            delay.delay_s * 1e3,
-            delay.sd_s * 1e3
-        );
-    } else if let Some(delay) = told.filter(|delay| delay.is_before(delay_s)) {
-        tracing::warn!(
-            "{name}: θ seems to move {:.1} ± {:.1} ms before the commands: with wrong times H(s) is wrong; \
-             --delay auto corrects them",
-            (delay_s - delay.delay_s) * 1e3,
-            delay.sd_s * 1e3
-        );
-    }
-    // Delays that explain the record about as well agree about the drift.
-    let held = match apparent.as_ref().and_then(|delay| delay.drift).filter(Drift::is_significant) {
-        Some(drift) => without_drift(args, &source, held, (drift, told.is_some()), middle_s),
-        None => held,
-    };
-    let zero = apparent.as_ref().and_then(|delay| delay.zero).filter(|_| args.detrend() == Detrend::None);
-    if let Some(zero) = zero.filter(Zero::is_off) {
-        tracing::warn!(
-            "{name}: the zero of θ is off by {:.3} ± {:.3}°, by a model of second order: a wrong base frame, a \
-             catheter that does not hang straight, or an offset of the currents? It is taken off, which does not help \
-             against an offset of the currents; --zero exact leaves θ as it is",
-            zero.offset.to_degrees(),
-            zero.sd.to_degrees()
-        );
-        observed.theta_rad.iter_mut().flatten().for_each(|theta| *theta -= zero.offset);
-    }
-    let series = observed.series(&held, plant, delay_s).map_err(Failure::usage)?;
-    let series = Series { fit_zero: args.fits_zero(), ..series };
-    let lost = series.output.len() - observed.theta_rad.len();
-    let missed = observed.theta_rad.iter().filter(|theta| theta.is_none()).count();
-    let (record, grid, bridged) = on_grid(args, &series)?;
-    let summary = RecordSummary {
-        name,
-        period_s: if args.resample { args.period.unwrap_or(grid.period_s) } else { grid.period_s },
-        jitter_s: grid.jitter_s,
-        lost,
-        missed,
-        vetoed: recording.vetoed,
-        bridged,
-        delay: apparent,
-        zero,
-        ..RecordSummary::default()
-    };
-    Ok(Read { record, summary })
-}
-
-/// Tells that the clock of the currents drifts; with `--delay auto` the commands are moved to the camera's clock.
-/// `told`: whether there is one delay, without which `--delay auto` refuses.
-fn without_drift(args: &Args, source: &str, held: Held, (drift, told): (Drift, bool), middle_s: f64) -> Held {
-    let (ppm, sd) = (-1e6 * drift.rate, 1e6 * drift.sd);
-    let fitted = args.delay == DelayArg::Auto;
-    let remedy = match (fitted, told) {
-        (true, _) => "they are moved by it",
-        (false, true) => "--delay auto moves them by it",
-        (false, false) => "--delay auto would move them by it, if the delay could be told",
-    };
-    tracing::warn!(
-        "{source}: by a model of second order the clock of the currents seems to run {ppm:.1} ± {sd:.1} ppm fast \
-         against the camera's, which spoils H(s); {remedy}. Better are currents with the camera's times"
-    );
-    if fitted { held.drifted(drift.rate, middle_s) } else { held }
-}
-
-/// How many times σ of θ the model of a delay leaves, if that is more than noise.
-fn misfit(recording: &Recording, delay: &Delay) -> Option<f64> {
-    let squares: Vec<f64> = recording.frames.iter().filter_map(|frame| Some(frame.theta_sd_rad?.powi(2))).collect();
-    let noise = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
-    Some(delay.residual_rms / noise).filter(|times| times.is_finite() && *times > MISFIT)
-}
-
-/// The apparent delay of the output, searched around the given one. `own_clock`: see [`clock_delay::estimate`].
-fn apparent_delay(
-    args: &Args,
-    observed: &Observed,
-    held: &Held,
-    plant: Option<Plant>,
-    own_clock: Option<f64>,
-) -> Option<Delay> {
-    let period_s = observed.grid().ok()?.period_s;
-    let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
-    // All delays are judged by the same samples: those whose commands are known for every delay.
-    let known_s = held.zero_before().span_s()?.0 + given_s + (clock_delay::MAX_DELAY + 2.0) * period_s;
-    let cut_off = known_s > *observed.time_s.first()?;
-    let observed = if cut_off { observed.from(known_s) } else { observed.clone() };
-    let found = clock_delay::estimate(period_s, own_clock, |Timing { delay_s, drift }| {
-        let held = held.drifted(drift, own_clock.unwrap_or_default()).zero_before();
-        let series = observed.series(&held, plant, given_s + delay_s).ok()?;
-        let series = Series { fit_zero: args.fits_zero(), ..series };
-        let grid = Grid::of(&series.name, &series.time_s).ok()?;
-        let (record, _) = cut(&series, &grid, args.bridge);
-        let mut segments = record.segments;
-        // What is taken for rest and is none would look like a delay.
-        segments.iter_mut().for_each(|s| s.from_rest = false);
-        if args.detrend() != Detrend::None {
-            let trend = Trend::of(&segments, period_s, false);
-            segments.iter_mut().for_each(|s| trend.remove(s, period_s));
-        }
-        Some(segments)
-    })?;
-    let others_s = found.others_s.iter().map(|other_s| given_s + other_s).collect();
-    Some(Delay { delay_s: given_s + found.delay_s, others_s, ..found })
 }
 
 /// Removes trends. `one_record`: all parts belong to one record with a common line.

@@ -6,6 +6,7 @@ use crate::archive::hash;
 use crate::calibrate::geometry::Parameter;
 use crate::rig::formats::Format;
 use crate::rig::{Draft, lens_note, of_camera};
+use crate::text_file;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -61,8 +62,8 @@ pub(super) fn run(
 ) -> Result<(), Failure> {
     can_be_written(&args.out)?;
     let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
-    let text = std::fs::read_to_string(&args.file)
-        .map_err(|e| Failure::usage(format!("cannot read {}: {e}", args.file.display())))?;
+    let text =
+        text_file::read(&args.file).map_err(|e| Failure::usage(format!("cannot read {}: {e}", args.file.display())))?;
     let format = match args.format {
         Some(ImportFormat::Opencv) => Format::OpenCv,
         Some(ImportFormat::Ros) => Format::Ros,

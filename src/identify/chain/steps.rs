@@ -80,17 +80,16 @@ pub(crate) fn identify_with_progress(
         progress("fitting the refined model");
         Attempt::of(&training, estimated, Reduction { target, removal: settings.removal, band }, excited, &delays)
     };
-    let mut attempt_taken = attempt(settings.target);
-    let lower = |taken: &Attempt| {
-        let found = taken.refined.as_ref().ok().filter(|_| !of_output)?;
-        other_orders::lowest(&training, &found.refined)
+    let mut taken = attempt(settings.target);
+    let mut lower_order = match &taken.refined {
+        Ok(found) if !of_output => other_orders::lowest(&training, &found.refined),
+        _ => None,
     };
-    let mut lower_order = lower(&attempt_taken);
     if let (Target::Auto, Some(order)) = (settings.target, lower_order) {
-        attempt_taken = attempt(Target::Order(order));
+        taken = attempt(Target::Order(order));
         lower_order = None;
     }
-    let Attempt { how, unstable_in_band, reduced, refined: found } = attempt_taken;
+    let Attempt { how, unstable_in_band, reduced, refined: found } = taken;
     if let Ok(reduced) = &reduced {
         let covariance = reduced_covariance(estimated, reduced, how);
         let title = format!("reduced, order {}", reduced.model.order());
@@ -101,28 +100,15 @@ pub(crate) fn identify_with_progress(
         Ok(found) => (Ok(found.refined), found.others, found.earlier.filter(|_| !of_output)),
         Err(why) => (Err(why), Vec::new(), None),
     };
-    let mut model_error = None;
-    let mut left = None;
-    let mut higher_order = None;
+    let mut objections = Objections::default();
     if let Ok(refined) = &refined {
         let Estimated { model, covariance, .. } = &refined.estimated;
-        model_error = ModelError::of(&training, estimated, &refined.estimated, settings.initial_state);
-        let title = format!("refined, order {}", model.order());
         let shortest = delays.first().copied().unwrap_or(model.nk);
-        // By Eq. 6 what is left follows the input by its own noise.
-        left = if of_output { None } else { Left::of(&training, model, shortest) };
-        let doubted = left
-            .is_some_and(|left| left.follows() || left.is_off_centre() || !settings.commanded && left.is_fed_back());
-        let sound = model_error.is_none() && earlier_delay.is_none() && !doubted;
-        if sound && !of_output {
-            higher_order = other_orders::higher(&training, refined);
-        }
-        // Its errors are those of its order, of a mean, of rows that are shifted, or of feedback; a σ of noise would be
-        // wrong.
-        let sound = sound && higher_order.is_none();
-        let covariance = sound.then(|| covariance.clone());
-        models.push(modelled(Role::Refined, title, model, covariance));
+        objections = Objections::to(refined, &training, estimated, settings, shortest, earlier_delay.is_some());
+        let title = format!("refined, order {}", model.order());
+        models.push(modelled(Role::Refined, title, model, objections.is_sound.then(|| covariance.clone())));
     }
+    let Objections { model_error, left, higher_order, .. } = objections;
     let wrong_values = wrong_values(&records, &models, data.period_s);
     let right_values = wrong_values.iter().all(leaves_sigma);
     if !right_values {
@@ -268,6 +254,38 @@ impl Attempt {
             Err(_) => Err("there is no reduced model to begin from".to_owned()),
         };
         Self { how, unstable_in_band, reduced, refined }
+    }
+}
+
+/// What speaks against σ of the refined model: its errors may be those of its order, of a mean, of rows that are
+/// shifted, or of feedback, and a σ of noise would be wrong.
+#[derive(Default)]
+struct Objections {
+    model_error: Option<ModelError>,
+    left: Option<Left>,
+    higher_order: Option<usize>,
+    is_sound: bool,
+}
+
+impl Objections {
+    /// `full`: the full model; `shortest`: the shortest delay searched; `is_late`: an earlier one is better.
+    fn to(
+        refined: &Refined,
+        training: &[Segment],
+        full: &Estimated,
+        settings: &Settings,
+        shortest: usize,
+        is_late: bool,
+    ) -> Self {
+        let model_error = ModelError::of(training, full, &refined.estimated, settings.initial_state);
+        // By Eq. 6 what is left follows the input by its own noise.
+        let of_output = training.iter().any(|s| s.instrument.is_some());
+        let left = if of_output { None } else { Left::of(training, &refined.estimated.model, shortest) };
+        let doubted = left
+            .is_some_and(|left| left.follows() || left.is_off_centre() || !settings.commanded && left.is_fed_back());
+        let sound = model_error.is_none() && !is_late && !doubted;
+        let higher_order = if sound && !of_output { other_orders::higher(training, refined) } else { None };
+        Self { model_error, left, higher_order, is_sound: sound && higher_order.is_none() }
     }
 }
 
