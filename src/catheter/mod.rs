@@ -43,6 +43,7 @@ pub use commands::Commands;
 pub use dynamics::{Accuracy, Moment, Simulation};
 pub use equilibrium::equilibrium;
 pub use error::CatheterError;
+pub(crate) use fit::fit_with_progress;
 pub use fit::{Check, Estimated, Fit, FitOptions, Open, Parameter, Pause, Run, Wiring, check, fit};
 pub use follow::{Followed, Target, follow};
 pub use harmonic::{Harmonic, harmonics};

@@ -33,6 +33,7 @@ use super::dynamics::{Accuracy, Moment};
 use super::error::CatheterError;
 use super::model::{Bands, Catheter};
 use super::record::{Noise, Sighting};
+use crate::plural::plural;
 use moving::Moving;
 use nalgebra::{DMatrix, DVector};
 pub use parameter::Parameter;
@@ -174,6 +175,20 @@ fn wrong(what: &str) -> CatheterError {
 /// # Errors
 /// [`CatheterError::Fit`] when there is nothing to fit to, the noise is not known, or the search does not settle.
 pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions) -> Result<Fit, CatheterError> {
+    fit_with_progress(catheter, delay_s, runs, options, &|_| {})
+}
+
+/// As [`fit`]; calls `progress` at the beginning of each search.
+///
+/// # Errors
+/// As [`fit`].
+pub(crate) fn fit_with_progress(
+    catheter: &Catheter,
+    delay_s: f64,
+    runs: &[Run],
+    options: &FitOptions,
+    progress: &dyn Fn(&str),
+) -> Result<Fit, CatheterError> {
     // 1. shapes at rest
     let stated = options.stated_noise.unwrap_or(Noise::NONE);
     let AtRest { pauses, unsettled, of_frames, of_means } = still::pauses(runs, options.settle_s, delay_s, &stated);
@@ -205,6 +220,7 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
         let at_rest = wanted.clone();
         // What shapes at rest leave open, the motion may tell.
         let result = determined(&mut wanted, options.only_still.then_some(&mut open), |parameters| {
+            progress(&format!("fitting {} to shapes at rest", plural(parameters.len(), "parameter")));
             still::fitted(&start, parameters, (runs, &pauses), of_means)
         });
         let misfit = result.as_ref().map_or(f64::INFINITY, Found::misfit);
@@ -237,6 +253,7 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
     });
     let mut wanted = options.parameters.clone();
     let result = determined(&mut wanted, Some(&mut open), |parameters| {
+        progress(&format!("fitting {} to the motion", plural(parameters.len(), "parameter")));
         let accuracy = options.accuracy;
         let model = Moving { start: &start, delay_s, parameters, runs, noise, accuracy };
         minimise(parameters, &model, start_of(&start, delay_s, parameters))

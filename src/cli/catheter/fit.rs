@@ -2,26 +2,23 @@
 
 use super::super::copies;
 use super::super::output::{PAGE, save};
-use super::super::results::unfinished;
+use super::super::progress::Stages;
 use super::super::units::{duration_s, seconds_ns};
 use super::super::{Exit, Failure, output, provenance};
-use super::bands::{self, Seen};
+use super::bands::Seen;
+use super::recorded::Reading;
 use super::run::Columns;
 use super::{Common, failure, prepare};
 use crate::catheter::{
-    Accuracy, Catheter, CatheterError, Check, Commands, Fit, FitOptions, Noise, Parameter, Run, Sighting, check, fit,
+    Accuracy, CatheterError, Check, Fit, FitOptions, Noise, Parameter, Run, check, fit_with_progress,
 };
 use crate::digits::fixed;
 use crate::plural::plural;
 use crate::report::catheter_fit;
-use crate::series::{CurrentClock, CurrentTable, Recording};
-use crate::source::times::seconds;
-use nalgebra::Vector3;
+use crate::series::{CurrentClock, CurrentTable};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// The last command is held for longer than seems meant: over so many times the longest of the others, and seconds.
-const HELD_TOO_LONG: (f64, f64) = (5.0, 1.0);
 /// What is written, and how it begins: a catheter's file that somebody wrote is not replaced.
 const FILES: [(&str, &str); 3] =
     [("catheter.toml", "# Fitted to "), ("fit.csv", "parameter,unit,value,sd,"), ("fit.html", PAGE)];
@@ -89,6 +86,8 @@ impl FitArgs {
         let inputs: Vec<&Path> = inputs.chain(files).map(PathBuf::as_path).collect();
         prepare(&self.out, &FILES, &inputs)?;
         self.check_start()?;
+        let stages = Stages::new(quiet);
+        stages.begin("reading the runs");
         let seen = |files: &[PathBuf]| -> Result<Vec<Option<Seen>>, Failure> {
             files.iter().map(|file| Seen::by(file, self.rig.as_deref())).collect()
         };
@@ -98,8 +97,9 @@ impl FitArgs {
             _ => self.common.load()?,
         };
         let read = |files: &[PathBuf], tables: &[PathBuf], seen: &[Option<Seen>]| {
+            let reading = Reading { catheter: &catheter, columns: &self.columns, start_ns: self.start };
             let runs = files.iter().zip(seen).enumerate();
-            let runs = runs.map(|(k, (file, seen))| self.read(&catheter, file, tables.get(k), seen.as_ref()));
+            let runs = runs.map(|(k, (file, seen))| reading.run(file, tables.get(k), seen.as_ref()));
             runs.collect::<Result<Vec<(Run, Option<Noise>)>, Failure>>()
         };
         let fitted = read(&self.runs, &self.currents, &seen_fitted)?;
@@ -117,7 +117,8 @@ impl FitArgs {
         let parameters = if self.parameters.is_empty() { default() } else { self.parameters.clone() };
         let options =
             FitOptions { parameters, settle_s: self.settle, only_still: self.only_still, accuracy, stated_noise };
-        let result = fit(&catheter, 0.0, &runs, &options).map_err(unusable)?;
+        let progress = |what: &str| stages.begin(what);
+        let result = fit_with_progress(&catheter, 0.0, &runs, &options, &progress).map_err(unusable)?;
         let open: Vec<String> = result.open.iter().map(|open| open.sentence()).collect();
         if !self.parameters.is_empty() && !open.is_empty() {
             return Err(Failure::new(Exit::Unusable, open.join("\n")));
@@ -131,7 +132,9 @@ impl FitArgs {
         let checks = |runs: &[Run]| -> Result<Vec<Check>, Failure> {
             runs.iter().map(|run| check(&result.catheter, result.delay_s, run, accuracy).map_err(failure)).collect()
         };
+        stages.begin("comparing the motion with the runs");
         let (own, other) = (checks(&runs)?, checks(&judged)?);
+        drop(stages);
         for doubt in own.iter().chain(&other).filter_map(Check::doubt) {
             tracing::warn!("doubt: {doubt}");
         }
@@ -166,90 +169,6 @@ impl FitArgs {
     fn heading(&self, name: &str) -> String {
         let runs: Vec<String> = self.runs.iter().map(|run| run.display().to_string()).collect();
         format!("Fitted to {}; what is not fitted is that of {name}.", runs.join(", "))
-    }
-
-    /// A run, and what its tracker says of the noise.
-    fn read(
-        &self,
-        catheter: &Catheter,
-        file: &Path,
-        table: Option<&PathBuf>,
-        seen: Option<&Seen>,
-    ) -> Result<(Run, Option<Noise>), Failure> {
-        let wrong = |problem: &str| Failure::usage(format!("{}: {problem}", file.display()));
-        let recording = Recording::read(file)?;
-        if let Some(warning) = unfinished(file) {
-            tracing::warn!("{warning}");
-        }
-        if let Some(why) = &recording.cut {
-            tracing::warn!("{}: not all of it can be read: {why}", file.display());
-        }
-        recording.in_base_frame()?;
-        let bands = bands::of(&recording, seen, catheter)?;
-        // The model counts from the clamp.
-        let origin = Vector3::z() * bands.map_or(0.0, |bands| bands.base_m);
-        let (coil, tip) = (recording.marker("coil")?, recording.marker("tip")?);
-        let mut commands: Vec<(i64, Vec<f64>)> = Vec::new();
-        let coils = match table {
-            Some(table) => {
-                let table = CurrentTable::read(table)?;
-                if let Some(assumption) = table.assumption(&recording, self.start) {
-                    tracing::warn!("{}: {assumption}", table.path.display());
-                }
-                for current in table.on_camera_clock(&recording, self.start)? {
-                    commands.extend(current.stamp_ns.map(|ns| (ns, current.values_a)));
-                }
-                self.columns
-                    .of(&table.coils)
-                    .map_err(|why| Failure::usage(format!("{}: {why}", table.path.display())))?
-            }
-            None => {
-                commands.extend(recording.currents.iter().filter_map(|c| Some((c.stamp_ns?, c.values_a.clone()))));
-                let count = commands.iter().map(|(_, values)| values.len()).max().unwrap_or(0);
-                let names: Vec<String> = (1..=count).map(|k| format!("channel_{k}")).collect();
-                if count == 0 {
-                    return Err(wrong("has no coil currents: give a table of them with --currents"));
-                }
-                self.columns.of(&names).map_err(|why| wrong(&why))?
-            }
-        };
-        let commands = in_order(commands);
-        let (Some(first), Some(frame)) = (commands.first().map(|c| c.0), recording.frames.first()) else {
-            return Err(wrong("has no frame, or no current"));
-        };
-        let zero_ns = first.min(frame.stamp_ns);
-        let since_zero_s = |ns: i64| seconds(ns - zero_ns);
-        let value = |row: &[f64], column: Option<usize>| column.and_then(|k| row.get(k)).copied().unwrap_or(0.0);
-        let rows = commands
-            .iter()
-            .map(|(ns, values)| (since_zero_s(*ns), Vector3::from(coils.map(|column| value(values, column)))));
-        let of_currents = table.map_or(file, PathBuf::as_path).display();
-        let commands = Commands::new(catheter, rows)
-            .map_err(|e| Failure::usage(format!("{of_currents}: {e}; are the currents in amperes?")))?;
-        let sightings: Vec<Sighting> = recording
-            .frames
-            .iter()
-            .map(|frame| Sighting {
-                time_s: since_zero_s(frame.stamp_ns),
-                coil: frame.places.get(coil).and_then(|place| place.point).map(|point| point + origin),
-                tip: frame.places.get(tip).and_then(|place| place.point).map(|point| point + origin),
-                tangent: frame.tangent,
-            })
-            .collect();
-        if sightings.windows(2).any(|pair| matches!(pair, [a, b] if b.time_s <= a.time_s)) {
-            return Err(wrong("its frames' times do not rise: the camera's clock restarted"));
-        }
-        let last_s = sightings.last().map_or(0.0, |s| s.time_s);
-        if let Some(warning) = held_too_long(&commands, last_s) {
-            tracing::warn!("{}: {warning}", table.unwrap_or(&file.to_owned()).display());
-        }
-        if !sightings.iter().any(|s| s.tip.is_some()) {
-            return Err(wrong("no frame has a place of the tip"));
-        }
-        let sd_m = rms(recording.frames.iter().filter_map(|f| f.places.get(tip)?.sd_m));
-        let sd_rad = rms(recording.frames.iter().filter_map(|f| f.tangent_sd_rad));
-        let stated_noise = sd_m.zip(sd_rad).map(|(point_m, angle_rad)| Noise { point_m, angle_rad, missing: 0.0 });
-        Ok((Run { name: file.display().to_string(), commands, sightings, bands }, stated_noise))
     }
 
     fn summary(&self, fit: &Fit, own: &[Check], other: &[Check]) -> String {
@@ -291,41 +210,6 @@ impl FitArgs {
     }
 }
 
-/// Commands by their times; of several at the same time the last counts.
-fn in_order(mut commands: Vec<(i64, Vec<f64>)>) -> Vec<(i64, Vec<f64>)> {
-    commands.sort_by_key(|(ns, _)| *ns);
-    commands.dedup_by(|later, kept| {
-        let same = later.0 == kept.0;
-        if same {
-            std::mem::swap(later, kept);
-        }
-        same
-    });
-    commands
-}
-
-/// A warning when the last command is held for much longer than all others: probably the table ends before the run.
-/// Without current that is how tables end.
-fn held_too_long(commands: &Commands, last_s: f64) -> Option<String> {
-    let (from_s, _, held) = commands.pauses().last().filter(|(_, _, held)| *held != Vector3::zeros())?;
-    let longest_s =
-        commands.pauses().map(|(from_s, to_s, _)| to_s - from_s).filter(|s| s.is_finite()).reduce(f64::max)?;
-    let held_s = last_s - from_s;
-    (held_s > HELD_TOO_LONG.0 * longest_s && held_s > HELD_TOO_LONG.1).then(|| {
-        let [x, y, z] = <[f64; 3]>::from(held * 1e3).map(|ma| fixed(ma, 1));
-        format!(
-            "its last currents ({x}, {y}, {z} mA) are taken to be held from {from_s:.2} s to the run's end at \
-             {last_s:.2} s, no others for longer than {longest_s:.2} s: if they ended before, end the table with a row \
-             of zeros"
-        )
-    })
-}
-
-fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let values: Vec<f64> = values.filter(|v| *v > 0.0).collect();
-    (!values.is_empty()).then(|| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt())
-}
-
 fn unusable(error: CatheterError) -> Failure {
     let exit = if matches!(error, CatheterError::Fit(_)) { Exit::Unusable } else { Exit::Usage };
     Failure::new(exit, error)
@@ -343,29 +227,4 @@ fn values(fit: &Fit) -> String {
             write!(text, "{},{unit},{value:.9e},{sd:.3e},{}\r\n", estimated.parameter.name(), correlations.join(","));
     }
     text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn commands_are_in_order_and_the_last_of_a_time_counts() {
-        let commands = [(3, 0.3), (1, 0.1), (2, 0.2), (1, 0.4), (3, 0.5), (3, 0.0)].map(|(ns, a)| (ns, vec![a]));
-        assert_eq!(in_order(commands.to_vec()), [(1, 0.4), (2, 0.2), (3, 0.0)].map(|(ns, a)| (ns, vec![a])));
-    }
-
-    #[test]
-    fn a_table_that_ends_before_its_run_is_told() {
-        let last = |held: f64, last_s: f64| {
-            let rows = [(1.0, 0.05), (1.5, -0.05), (2.1, held)].map(|(t, z)| (t, Vector3::new(0.0, 0.0, z)));
-            held_too_long(&Commands::new(&Catheter::prototype(), rows).unwrap(), last_s)
-        };
-        let warning = last(0.02, 5.3).unwrap();
-        assert!(warning.contains("(0.0, 0.0, 20.0 mA)") && warning.contains("from 2.10 s to the run's end at 5.30 s"));
-        assert!(warning.contains("longer than 0.60 s"), "{warning}");
-        assert_eq!((last(0.02, 5.0), last(0.0, 60.0)), (None, None));
-        let one = Commands::new(&Catheter::prototype(), [(0.0, Vector3::new(0.0, 0.0, 0.05))]).unwrap();
-        assert_eq!(held_too_long(&one, 60.0), None);
-    }
 }

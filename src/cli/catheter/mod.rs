@@ -2,6 +2,7 @@
 
 mod bands;
 mod fit;
+mod recorded;
 mod run;
 
 pub(super) use run::Columns;
