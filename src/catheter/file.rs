@@ -22,7 +22,8 @@ impl Catheter {
             let (line, message) = text_file::toml_error(&text, &e);
             CatheterError::Syntax { file: path.to_owned(), line, message }
         })?;
-        raw.checked(path)
+        raw.check(path)?;
+        Ok(raw.catheter())
     }
 }
 
@@ -135,7 +136,8 @@ struct RawBands {
 }
 
 impl Raw {
-    fn checked(&self, file: &Path) -> Result<Catheter, CatheterError> {
+    /// Whether every value can be that of a catheter.
+    fn check(&self, file: &Path) -> Result<(), CatheterError> {
         let Self { tube, coils, surroundings, motion, bands } = self;
         let wrong = |key: &'static str, value: String, expected: &'static str| {
             Err(CatheterError::Value { file: file.to_owned(), key, value, expected })
@@ -205,9 +207,15 @@ impl Raw {
                 return wrong(key, format!("{vector:?}"), expected);
             }
         }
+        Ok(())
+    }
+
+    /// In SI units.
+    fn catheter(&self) -> Catheter {
+        let Self { tube, coils, surroundings, motion, bands } = self;
         let mm = |value: f64| value / 1e3;
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), coils.alignment_deg.to_radians());
-        Ok(Catheter {
+        Catheter {
             tube: Tube {
                 outer_radius_m: mm(tube.outer_radius_mm),
                 inner_radius_m: mm(tube.inner_radius_mm),
@@ -220,7 +228,7 @@ impl Raw {
             coil_m: mm(coils.length_mm),
             tail_m: mm(tube.tail_mm),
             coils: CoilSet {
-                moment_per_ampere_m2: turn * Matrix3::from_row_slice(moments.as_flattened()) / 1e6,
+                moment_per_ampere_m2: turn * Matrix3::from_row_slice(coils.moment_per_ampere_mm2.as_flattened()) / 1e6,
                 mass_kg: coils.mass_g / 1e3,
                 volume_m3: coils.volume_mm3 / 1e9,
                 limit_a: coils.limit_ma / 1e3,
@@ -238,7 +246,7 @@ impl Raw {
                 linear_drag_pa_s: motion.linear_drag_pa_s,
             },
             bands: bands.map(|bands| Bands { base_m: mm(bands.base_mm), tip_m: mm(bands.tip_mm) }),
-        })
+        }
     }
 }
 

@@ -4,7 +4,7 @@
 use super::columns::{Cell, FileKind, Rows, names, row, write_mat};
 use super::{ConvertError, Converted, Message, Target, each_message, left_out};
 use crate::log::ros2::PROFILE;
-use crate::log::schema::messages::Current;
+use crate::log::schema::messages::{Current, Estimate};
 use crate::log::schema::{OPTIONS_ATTACHMENT, Topic};
 use crate::log::{attached, profile, restarted, typed};
 use crate::plural::plural;
@@ -84,98 +84,153 @@ fn attempt(
     out: &Path,
     layout: Layout,
 ) -> Result<Attempt, ConvertError> {
-    let kind = match target {
-        Target::Parquet => FileKind::Parquet,
-        Target::Mat => FileKind::Mat,
-        Target::Csv | Target::Ros2 => FileKind::Csv,
-    };
-    let wrong = |reason: String| ConvertError::Content { path: path.to_owned(), reason };
-    let mut converted = Converted::default();
-    let (mut frames, mut currents): (Option<Rows>, Option<Rows>) = (None, None);
-    let mut ticks = layout.ticks;
-    // Samples by their number of coils.
-    let mut samples: BTreeMap<usize, u64> = BTreeMap::new();
-    let (mut last, mut restart) = (None, None);
+    let mut tables = Tables::new(path, target, frame, out, layout);
     let take = |message: &Message<'_>| {
         let Some(decoded) = &message.decoded else { return Ok(false) };
         if message.topic == Topic::Estimate.name() {
-            let Some(estimate) = typed::estimate(decoded) else { return Ok(false) };
-            ticks |= estimate.tick.is_some();
-            let before = last.replace(estimate.seq).filter(|before| estimate.seq <= *before);
-            restart = restart.or(before.map(|before| (estimate.seq, before)));
-            let Some(row) = row(&estimate, frame, layout.ticks) else {
-                let why = "has no places in the base frame: its rig has none; convert with --frame camera";
-                return Err(wrong(why.to_owned()));
-            };
-            let rows = match &mut frames {
-                Some(rows) => rows,
-                none => none.insert(Rows::begin(kind, out, names(&estimate, layout.ticks), &row)?),
-            };
-            let there = rows.width();
-            if row.len() != there {
-                return Err(wrong(format!("frame {} has other markers than those before", estimate.seq)));
-            }
-            converted.frames += 1;
-            rows.add(row).map(|()| true)
+            typed::estimate(decoded).map_or(Ok(false), |estimate| tables.add_frame(&estimate).map(|()| true))
         } else if message.topic == Topic::Current.name() {
-            let Some(current) = typed::current(decoded) else { return Ok(false) };
-            *samples.entry(current.current_a.len()).or_default() += 1;
-            let row = current_row(&current);
-            let coils = layout.coils.unwrap_or(row.len() - 1);
-            let rows = match &mut currents {
-                Some(rows) => rows,
-                None if coils != row.len() - 1 => return Ok(false),
-                none => none.insert(Rows::begin(kind, &beside(out), current_names(kind, coils), &row)?),
-            };
-            if row.len() != rows.width() {
-                return Ok(false);
-            }
-            converted.currents += 1;
-            rows.add(row).map(|()| true)
+            typed::current(decoded).map_or(Ok(false), |current| tables.add_current(&current))
         } else {
             // The table has θ.
             Ok(message.topic == Topic::Deflection.name())
         }
     };
     let (left, cut) = each_message(path, take, |_| Ok(()))?;
-    // Of several, the number that most samples have; the smaller of two.
-    let usual = samples.iter().max_by_key(|(coils, count)| (**count, Reverse(**coils))).map(|(coils, _)| *coils);
-    let odd: u64 = samples.iter().filter(|(coils, _)| Some(**coils) != usual).map(|(_, count)| count).sum();
-    let found = Layout { ticks, coils: usual.filter(|_| odd > 0) };
+    let found = tables.layout_found();
     if found != layout {
         return Ok(Attempt::Again(found));
     }
-    let Some(frames) = frames else { return Err(wrong("has no frame".to_owned())) };
-    if let Some((seq, before)) = restart {
-        tracing::warn!("{}: {}", path.display(), restarted(seq, before));
-    }
-    converted.cut = cut;
-    converted.files.push(out.to_owned());
-    let mut columns = frames.finish()?;
-    if let Some(currents) = currents {
-        columns.extend(currents.finish()?);
-        if !matches!(kind, FileKind::Mat) {
-            converted.files.push(beside(out));
-        }
-    }
-    if matches!(kind, FileKind::Mat) {
-        write_mat(out, &columns)?;
-    }
-    converted.left_out.push(NOT_OF_A_FRAME.to_owned());
+    let odd_samples = found.coils;
+    let converted = tables.finish()?;
+    let mut reasons = vec![NOT_OF_A_FRAME.to_owned()];
     let of_ros = profile(path)? == PROFILE;
     if of_ros {
-        converted.left_out.push(OF_ROS.to_owned());
+        reasons.push(OF_ROS.to_owned());
     }
     let listed = |topic: &str| !of_ros || Topic::ALL.iter().any(|of| of.name() == topic && RosLog::keeps(*of));
     for (topic, messages) in left.into_iter().filter(|(topic, _)| listed(topic)) {
         let known = NOT_IN_A_TABLE.iter().find(|(of, _)| of.name() == topic).map(|(_, why)| *why);
         let estimate = (topic == Topic::Estimate.name()).then_some("cannot be understood");
-        let unusual = usual.filter(|_| odd > 0 && topic == Topic::Current.name());
+        let unusual = odd_samples.filter(|_| topic == Topic::Current.name());
         let unusual = unusual.map(|coils| format!("not of {}, as most are", plural(coils as u64, "coil")));
         let why = unusual.as_deref().or(known).or(estimate).unwrap_or("is no table of frames");
-        converted.left_out.push(left_out(&topic, messages, why));
+        reasons.push(left_out(&topic, messages, why));
     }
-    Ok(Attempt::Done(converted))
+    Ok(Attempt::Done(Converted { cut, left_out: reasons, ..converted }))
+}
+
+/// The tables of a log while they are written, with what they are found to need.
+struct Tables<'a> {
+    path: &'a Path,
+    out: &'a Path,
+    kind: FileKind,
+    frame: OutputFrame,
+    layout: Layout,
+    frames: Option<Rows>,
+    currents: Option<Rows>,
+    converted: Converted,
+    has_ticks: bool,
+    /// Samples of currents by their number of coils.
+    samples: BTreeMap<usize, u64>,
+    /// Number of the last frame.
+    last: Option<u64>,
+    /// The first frame whose number does not rise, and the number before.
+    restart: Option<(u64, u64)>,
+}
+
+impl<'a> Tables<'a> {
+    fn new(path: &'a Path, target: Target, frame: OutputFrame, out: &'a Path, layout: Layout) -> Self {
+        let kind = match target {
+            Target::Parquet => FileKind::Parquet,
+            Target::Mat => FileKind::Mat,
+            Target::Csv | Target::Ros2 => FileKind::Csv,
+        };
+        Self {
+            path,
+            out,
+            kind,
+            frame,
+            layout,
+            frames: None,
+            currents: None,
+            converted: Converted::default(),
+            has_ticks: layout.ticks,
+            samples: BTreeMap::new(),
+            last: None,
+            restart: None,
+        }
+    }
+
+    fn wrong(&self, reason: String) -> ConvertError {
+        ConvertError::Content { path: self.path.to_owned(), reason }
+    }
+
+    fn add_frame(&mut self, estimate: &Estimate) -> Result<(), ConvertError> {
+        self.has_ticks |= estimate.tick.is_some();
+        let before = self.last.replace(estimate.seq).filter(|before| estimate.seq <= *before);
+        self.restart = self.restart.or(before.map(|before| (estimate.seq, before)));
+        let Some(row) = row(estimate, self.frame, self.layout.ticks) else {
+            let why = "has no places in the base frame: its rig has none; convert with --frame camera";
+            return Err(self.wrong(why.to_owned()));
+        };
+        let rows = match &mut self.frames {
+            Some(rows) => rows,
+            none => none.insert(Rows::begin(self.kind, self.out, names(estimate, self.layout.ticks), &row)?),
+        };
+        if row.len() != rows.width() {
+            return Err(self.wrong(format!("frame {} has other markers than those before", estimate.seq)));
+        }
+        self.converted.frames += 1;
+        rows.add(row)
+    }
+
+    /// Returns whether the sample has as many coils as the table.
+    fn add_current(&mut self, current: &Current) -> Result<bool, ConvertError> {
+        *self.samples.entry(current.current_a.len()).or_default() += 1;
+        let row = current_row(current);
+        let coils = self.layout.coils.unwrap_or(row.len() - 1);
+        let rows = match &mut self.currents {
+            Some(rows) => rows,
+            None if coils != row.len() - 1 => return Ok(false),
+            none => none.insert(Rows::begin(self.kind, &beside(self.out), current_names(self.kind, coils), &row)?),
+        };
+        if row.len() != rows.width() {
+            return Ok(false);
+        }
+        self.converted.currents += 1;
+        rows.add(row).map(|()| true)
+    }
+
+    /// The layout that the log read so far needs.
+    fn layout_found(&self) -> Layout {
+        // Of several, the number of coils that most samples have; the smaller of two.
+        let usual = self.samples.iter().max_by_key(|(coils, count)| (**count, Reverse(**coils)));
+        let several = self.samples.len() > 1;
+        Layout { ticks: self.has_ticks, coils: usual.map(|(coils, _)| *coils).filter(|_| several) }
+    }
+
+    /// Completes the files.
+    fn finish(self) -> Result<Converted, ConvertError> {
+        let no_frame = self.wrong("has no frame".to_owned());
+        let Self { path, out, kind, frames, currents, mut converted, restart, .. } = self;
+        let frames = frames.ok_or(no_frame)?;
+        if let Some((seq, before)) = restart {
+            tracing::warn!("{}: {}", path.display(), restarted(seq, before));
+        }
+        converted.files.push(out.to_owned());
+        let mut columns = frames.finish()?;
+        if let Some(currents) = currents {
+            columns.extend(currents.finish()?);
+            if !matches!(kind, FileKind::Mat) {
+                converted.files.push(beside(out));
+            }
+        }
+        if matches!(kind, FileKind::Mat) {
+            write_mat(out, &columns)?;
+        }
+        Ok(converted)
+    }
 }
 
 /// `host_ns` and one column per coil, as read by `catoptra live --currents` and `catoptra identify`.

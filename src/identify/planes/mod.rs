@@ -26,11 +26,13 @@ use crate::identify::checks::diagnostic::Diagnostic;
 use crate::identify::data::from_recording::{Observed, RecordedError};
 use crate::identify::data::segments::Segment;
 use crate::identify::data::spectrum::spectrum;
+use crate::identify::reduce::balance::Balanced;
 use crate::series::{Current, Recording, SeriesError};
 use arx::Regression;
 use currents::Together;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::{PI, TAU};
+use std::ops::RangeInclusive;
 
 /// Angles of the coil's tangent t in the planes x-z and y-z: atan2(t·x, t·z) and atan2(t·y, t·z).
 pub(crate) const OUTPUTS: [&str; 2] = ["theta_x", "theta_y"];
@@ -290,45 +292,12 @@ pub(crate) fn identify(
         return Err(not_apart(&format!("the currents of {} change together", coils.join(" and "))));
     }
     // 1. orders
-    let regression = Regression::of(&fitted, most, settings.delay);
-    let mut tried = Vec::new();
-    let mut best: Option<(f64, arx::Fitted)> = None;
-    for order in settings.orders.0..=most {
-        let Some(found) = regression.fit(order) else { continue };
-        let cost = if judging.is_empty() {
-            found.description_length
-        } else {
-            error_percent(&found.system, &judging).unwrap_or(f64::INFINITY)
-        };
-        tried.push((order, cost));
-        if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
-            best = Some((cost, found));
-        }
-    }
-    let Some((_, found)) = best else {
-        return Err(not_apart("their currents depend on each other, or move too little"));
-    };
+    let (tried, best) = search((&fitted, &judging), settings.orders.0..=most, settings.delay);
+    let found = best.ok_or_else(|| not_apart("their currents depend on each other, or move too little"))?;
     // 2. fewer states, together
     let unstable = || PlanesError::Unstable { order: found.order };
     let in_band = found.system.balanced(Some(excited(&fitted))).ok_or_else(unstable)?;
-    // What is balanced for a band may become unstable.
-    let reduce = |keep: usize| {
-        let reduced = found.system.truncated(&in_band, keep);
-        if reduced.is_stable() {
-            Some(reduced)
-        } else {
-            Some(found.system.truncated(&found.system.balanced(None)?, keep))
-        }
-    };
-    let reduced = match settings.keep {
-        Some(keep) => reduce(keep).ok_or_else(unstable)?,
-        None => {
-            let enough = error_percent(&found.system, &fitted).ok_or_else(unstable)? * NEARLY;
-            let mut candidates = (outputs..found.system.order()).filter_map(reduce);
-            let near = |system: &System| error_percent(system, &fitted).is_some_and(|error| error <= enough);
-            candidates.find(near).unwrap_or_else(|| found.system.clone())
-        }
-    };
+    let reduced = fewer_states(&found.system, &in_band, &fitted, settings.keep).ok_or_else(unstable)?;
     // 3. what they are worth
     let judge = |record: &Motion, fitted: bool| {
         let (full, small) = (found.system.simulated(record)?, reduced.simulated(record)?);
@@ -362,6 +331,45 @@ pub(crate) fn identify(
         reduced,
         hankel: in_band.values,
     })
+}
+
+/// Fits every order. Returns what each came to, by the judging records if there are any, and the best.
+fn search(
+    (fitted, judging): (&[Motion], &[Motion]),
+    orders: RangeInclusive<usize>,
+    delay: usize,
+) -> (Vec<(usize, f64)>, Option<arx::Fitted>) {
+    let regression = Regression::of(fitted, *orders.end(), delay);
+    let mut tried = Vec::new();
+    let mut best: Option<(f64, arx::Fitted)> = None;
+    for order in orders {
+        let Some(found) = regression.fit(order) else { continue };
+        let cost = if judging.is_empty() {
+            found.description_length
+        } else {
+            error_percent(&found.system, judging).unwrap_or(f64::INFINITY)
+        };
+        tried.push((order, cost));
+        if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
+            best = Some((cost, found));
+        }
+    }
+    (tried, best.map(|(_, found)| found))
+}
+
+/// The model with `keep` states, or with the fewest that are nearly as good; `None` when it is not stable.
+fn fewer_states(full: &System, in_band: &Balanced, fitted: &[Motion], keep: Option<usize>) -> Option<System> {
+    // What is balanced for a band may become unstable.
+    let reduce = |keep: usize| {
+        let reduced = full.truncated(in_band, keep);
+        if reduced.is_stable() { Some(reduced) } else { Some(full.truncated(&full.balanced(None)?, keep)) }
+    };
+    if let Some(keep) = keep {
+        return reduce(keep);
+    }
+    let enough = error_percent(full, fitted)? * NEARLY;
+    let near = |system: &System| error_percent(system, fitted).is_some_and(|error| error <= enough);
+    Some((OUTPUTS.len()..full.order()).filter_map(reduce).find(near).unwrap_or_else(|| full.clone()))
 }
 
 /// Whether an output moves in any of the records.
