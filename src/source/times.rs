@@ -120,9 +120,54 @@ impl fmt::Display for FrameRate {
     }
 }
 
+/// Resolution of a stream's time stamps: the largest step that all are multiples of, counted from the first.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Resolution {
+    before_ns: Option<i64>,
+    step_ns: u64,
+    /// Shortest time from a frame to the next.
+    shortest_ns: Option<u64>,
+}
+
+impl Resolution {
+    /// The next stamp, nanoseconds.
+    pub(crate) fn add(&mut self, ns: i64) {
+        let apart_ns = ns.abs_diff(self.before_ns.replace(ns).unwrap_or(ns));
+        if apart_ns > 0 {
+            self.step_ns = common(self.step_ns, apart_ns);
+            self.shortest_ns = Some(self.shortest_ns.map_or(apart_ns, |shortest| shortest.min(apart_ns)));
+        }
+    }
+
+    /// σ of a stamp by its rounding, seconds; `None` where all are multiples of the frame interval, as 20 ms at 50 fps:
+    /// then it does not show.
+    pub(crate) fn sd_s(&self) -> Option<f64> {
+        let hidden = self.shortest_ns.is_some_and(|shortest| self.step_ns >= shortest.div_ceil(2));
+        (!hidden).then(|| self.step_ns as f64 / 1e9 / 12.0_f64.sqrt())
+    }
+}
+
+/// Greatest common divisor.
+fn common(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { common(b, a % b) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_step_of_stamps_is_what_all_are_multiples_of() {
+        let of = |stamps: &[i64]| {
+            let mut resolution = Resolution::default();
+            stamps.iter().for_each(|ns| resolution.add(*ns));
+            (resolution.step_ns, resolution.sd_s())
+        };
+        let (step_ns, sd_s) = of(&[7_000_000, 24_000_000, 40_000_000, 57_000_000]);
+        assert_eq!((step_ns, sd_s), (1_000_000, Some(1e-3 / 12.0_f64.sqrt())));
+        assert_eq!((of(&[5, 5]).0, of(&[0, 40, 100]).0, of(&[0, 16_666_667, 33_333_333]).0), (0, 20, 1));
+        assert_eq!(of(&[0, 20_000_000, 40_000_000]).1, None);
+    }
 
     #[test]
     fn ticks_are_rounded_to_the_nearest_nanosecond() {

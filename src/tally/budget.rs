@@ -15,7 +15,7 @@
 use crate::calibrate::rig::share::{CatheterPose, of_coordinate, share};
 use crate::estimate::Estimate;
 use crate::rig::{Draft, Rig};
-use crate::source::times::seconds;
+use crate::source::times::{Resolution, seconds};
 use crate::track::theta_derivative_by_turn;
 use nalgebra::Vector3;
 
@@ -47,11 +47,7 @@ pub(super) struct BudgetData {
     seen: u64,
     /// Stamp, θ and tip of the previous frame.
     last: Option<(i64, f64, Vector3<f64>)>,
-    before_ns: Option<i64>,
-    /// Largest step that all stamps are multiples of, counted from the first.
-    step_ns: u64,
-    /// Shortest time from a frame to the next.
-    shortest_ns: Option<u64>,
+    stamps: Resolution,
     /// Sums of squared speeds of θ and of the tip, less the part of noise; their number.
     speeds: (f64, f64, u64),
 }
@@ -70,17 +66,9 @@ impl BudgetData {
         self.tip
     }
 
-    fn stamp(&mut self, ns: i64) {
-        let apart_ns = ns.abs_diff(self.before_ns.replace(ns).unwrap_or(ns));
-        if apart_ns > 0 {
-            self.step_ns = common(self.step_ns, apart_ns);
-            self.shortest_ns = Some(self.shortest_ns.map_or(apart_ns, |shortest| shortest.min(apart_ns)));
-        }
-    }
-
     pub(super) fn add(&mut self, estimate: &Estimate) {
         let ns = estimate.stamp.ns;
-        self.stamp(ns);
+        self.stamps.add(ns);
         let place = |marker: usize| estimate.markers.get(marker)?.position.as_ref().ok();
         let (Some(coil), Some(tip), Ok(tangent), Ok(deflection)) =
             (place(self.coil), place(self.tip), &estimate.tangent, &estimate.deflection)
@@ -154,12 +142,9 @@ impl BudgetData {
         if count == 0 {
             return Err("no two frames in sequence are answered".to_owned());
         }
-        if self.shortest_ns.is_some_and(|shortest| self.step_ns >= shortest.div_ceil(2)) {
-            let why = "all stamps are multiples of the frame interval: their resolution does not show";
-            return Err(why.to_owned());
-        }
+        let hidden = || "all stamps are multiples of the frame interval: their resolution does not show".to_owned();
+        let sd_s = self.stamps.sd_s().ok_or_else(hidden)?;
         let rms = |sum: f64| (sum / count as f64).max(0.0).sqrt();
-        let sd_s = self.step_ns as f64 / 1e9 / 12.0_f64.sqrt();
         Ok((rms(theta) * sd_s, of_coordinate(rms(tip) * sd_s)))
     }
 }
@@ -176,26 +161,14 @@ pub fn together_name(sources: &[Contribution]) -> &'static str {
     if sources.iter().all(|source| source.share.is_ok()) { "together" } else { "together, of those known" }
 }
 
-/// Greatest common divisor.
-fn common(a: u64, b: u64) -> u64 {
-    if b == 0 { a } else { common(b, a % b) }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn data(stamps: &[i64]) -> BudgetData {
         let mut data = BudgetData { speeds: (1.0, 4.0, 1), ..BudgetData::default() };
-        stamps.iter().for_each(|ns| data.stamp(*ns));
+        stamps.iter().for_each(|ns| data.stamps.add(*ns));
         data
-    }
-
-    #[test]
-    fn the_step_of_stamps_is_what_all_are_multiples_of() {
-        let of = |stamps: &[i64]| data(stamps).step_ns;
-        assert_eq!(of(&[7_000_000, 24_000_000, 40_000_000, 57_000_000]), 1_000_000);
-        assert_eq!((of(&[5, 5]), of(&[0, 40, 100]), of(&[0, 16_666_667, 33_333_333])), (0, 20, 1));
     }
 
     #[test]

@@ -4,7 +4,8 @@ use super::circle::Circle;
 use super::lag::Lag;
 use super::path::DesiredPath;
 use super::pauses::Sample;
-use super::response::spread;
+use super::plane::Plane;
+use super::response::{Magnitude, spread};
 use super::timing::WEAK_CORRELATION;
 use nalgebra::Point3;
 
@@ -15,6 +16,9 @@ const SAME_UNIT: std::ops::RangeInclusive<f64> = 0.05..=8.0;
 const MANY_LEFT_OUT: f64 = 0.25;
 /// Points that lie further than this fraction of the radius from their circle (RMS) are noted.
 const FAR_FROM_CIRCLE: f64 = 0.05;
+/// The same of the desired size, from their plane. What a tip leaves its plane by on the sphere around its clamp is less:
+/// with a deflection of 30° an eighth of the size.
+const FAR_FROM_PLANE: f64 = 0.25;
 /// Distances up to this many σ of a coordinate are noise.
 const NOISE: f64 = 3.0;
 /// More frames than this fraction with the place of the one before are noted.
@@ -72,6 +76,18 @@ pub(super) fn far_from_circle(circle: &Circle, sd_m: Option<f64>) -> Option<Stri
              and its magnitude is only that of the circle nearest to it",
             circle.rms_m * 1e3,
             circle.radius_m * 1e3
+        )
+    })
+}
+
+/// Points so far off their plane that they hardly are those of one motion along the path.
+pub(super) fn far_from_plane(plane: &Plane, magnitude: &Magnitude) -> Option<String> {
+    (plane.rms_m > FAR_FROM_PLANE * magnitude.desired_m).then(|| {
+        format!(
+            "the points lie {:.3} mm (RMS) from their plane, at a desired size of {:.3} mm: are places of some frames \
+             wrong (zeros where nothing was seen?), or is this another motion? Magnitude and phase have no σ",
+            plane.rms_m * 1e3,
+            magnitude.desired_m * 1e3
         )
     })
 }

@@ -186,8 +186,11 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let sd = response.sd(path, &steps, (sd_m, seen));
     let too_far = |sd: f64| lone.zip(response.magnitude).is_some_and(|(lone, size)| lone.mean_m > sd * size.observed_m);
     let repeated = notes::repeated(&of_runs);
-    let sound_sd = sd.filter(|sd| !too_far(*sd) && repeated.is_none());
+    let off_plane = response.plane.as_ref().zip(response.magnitude.as_ref());
+    let off_plane = off_plane.and_then(|(plane, magnitude)| notes::far_from_plane(plane, magnitude));
+    let sound_sd = sd.filter(|sd| !too_far(*sd) && repeated.is_none() && off_plane.is_none());
     said.extend(repeated);
+    said.extend(off_plane);
     said.extend(lone.map(|lone| lone.note(sd.is_some() && sound_sd.is_none())));
     Ok(Run {
         file: recording.path.clone(),

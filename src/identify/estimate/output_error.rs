@@ -128,10 +128,15 @@ pub(super) fn fitted_besides(segments: &[Segment], model: &Polynomials) -> usize
 
 /// Possible contributions of the initial state to the output of a segment that does not begin at rest: orthonormal
 /// columns. They are projected out of residual and derivatives, which implicitly fits the state (variable projection;
-/// Kaufman, BIT 15, 1975, doi:10.1007/BF01932995).
+/// Kaufman, BIT 15, 1975, doi:10.1007/BF01932995). Of a segment with no more samples than its state has numbers nothing
+/// is left: some state explains all of it.
 fn free_initial_state(segment: &Segment, model: &Polynomials) -> Option<DMatrix<f64>> {
-    if segment.from_rest || segment.len() <= model.memory() || model.memory() == 0 {
+    if segment.from_rest || model.memory() == 0 {
         return None;
+    }
+    let observed: Vec<usize> = (0..segment.len()).filter(|t| !segment.output[*t].is_nan()).collect();
+    if observed.len() <= model.memory() {
+        return Some(DMatrix::from_fn(segment.len(), observed.len(), |t, k| f64::from(observed[k] == t)));
     }
     let at = model.free_responses(segment.len());
     let known = |t: usize, state: usize| if segment.output[t].is_nan() { 0.0 } else { at(t, state) };
@@ -256,5 +261,25 @@ mod tests {
         };
         // Two states in each of two segments, and the zeros of two records.
         assert_eq!(fitted_besides(&[segment(0, true), segment(0, false), segment(1, false)], &model), 6);
+    }
+
+    /// Rows that are lost close together leave a stretch too short to tell its own state.
+    #[test]
+    fn a_stretch_shorter_than_the_memory_tells_nothing() {
+        let model = Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk: 2 };
+        let (input, error) = (noise(1, 400), noise(2, 400));
+        let output: Vec<f64> = model.simulate(&input).iter().zip(&error).map(|(y, e)| y + 0.01 * e).collect();
+        let part = |from: usize, to: usize| Segment {
+            input: input[from..to].to_vec(),
+            output: output[from..to].to_vec(),
+            from_rest: from == 0,
+            ..Segment::default()
+        };
+        let (whole, short) = ([part(0, 200), part(205, 400)], [part(0, 200), part(201, 204), part(205, 400)]);
+        let [without, with] = [&whole[..], &short[..]].map(|segments| refine(segments, &model).unwrap().estimated);
+        assert!((without.model.parameters() - with.model.parameters()).norm() < 1e-9);
+        assert!((without.noise_variance / with.noise_variance - 1.0).abs() < 1e-9);
+        let sd = |of: &Estimated| of.covariance.matrix().trace().sqrt();
+        assert!((sd(&with) / sd(&without) - 1.0).abs() < 0.05, "{} {}", sd(&with), sd(&without));
     }
 }

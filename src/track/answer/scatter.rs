@@ -8,6 +8,8 @@
 //!
 //! The mean of |y|² over its expectation, for the recent frames, is the factor by which the covariance is too small.
 //!
+//! Rounded stamps scatter what moves: by its speed times their σ, which is expected too and no error of the place.
+//!
 //! Below 24 frames per second so many frames take longer than a motion is a polynomial, and the factor is 1. Errors
 //! that persist from frame to frame do not show. The excess over the expectation is taken to be the fraction of such
 //! errors that changes, as given by the image model (image_model.rs).
@@ -41,13 +43,14 @@ pub(in crate::track) struct Scatter {
 
 impl Scatter {
     /// Adds a measurement; returns the factor, 1 or more, by which its covariance is too small. Of errors beyond it,
-    /// the fraction `persisting` of their variance persists from frame to frame.
+    /// the fraction `persisting` of their variance persists from frame to frame. `stamp_sd_s` is σ of the stamps by
+    /// their rounding, seconds.
     pub(in crate::track) fn add(
         &mut self,
         stamp: Timestamp,
         value: Vector3<f64>,
         covariance: &Matrix3<f64>,
-        persisting: f64,
+        (persisting, stamp_sd_s): (f64, f64),
     ) -> f64 {
         // A clock that is set back begins anew.
         if self.recent.back().is_some_and(|last| stamp.ns < last.0) {
@@ -59,7 +62,7 @@ impl Scatter {
         {
             self.recent.pop_front();
         }
-        if let Some(ratio) = self.ratio() {
+        if let Some(ratio) = self.ratio(stamp_sd_s) {
             let fading = 0.5_f64.powf(1.0 / HALF_LIFE);
             (self.sum, self.frames) = (self.sum * fading + ratio, self.frames * fading + 1.0);
         }
@@ -75,7 +78,7 @@ impl Scatter {
     }
 
     /// Square of the difference over its expectation; `None` with too few frames.
-    fn ratio(&self) -> Option<f64> {
+    fn ratio(&self, stamp_sd_s: f64) -> Option<f64> {
         if self.recent.len() <= ORDER {
             return None;
         }
@@ -87,10 +90,18 @@ impl Scatter {
             // Times are in frames of 60 Hz, so that the product stays within range.
             let c = 1.0 / others.map(|(_, other)| (before_s(*t) - before_s(other.0)) * 60.0).product::<f64>();
             difference += value * c;
-            expected += c * c * trace;
+            expected += c * c * (trace + (self.speed(i) * stamp_sd_s).powi(2));
         }
         let ratio = difference.norm_squared() / expected;
         ratio.is_finite().then_some(ratio)
+    }
+
+    /// Speed at a measurement, per second, from those beside it; 0 where none are.
+    fn speed(&self, i: usize) -> f64 {
+        let (before, after) = (self.recent.get(i.saturating_sub(1)), self.recent.get(i + 1).or(self.recent.back()));
+        let (Some((from, a, _)), Some((to, b, _))) = (before, after) else { return 0.0 };
+        let speed = (b - a).norm() / seconds(to.saturating_sub(*from));
+        if speed.is_finite() { speed } else { 0.0 }
     }
 }
 
@@ -115,7 +126,7 @@ mod tests {
     fn factor(sd: f64, said: f64, persisting: f64) -> f64 {
         let (mut scatter, mut sum) = (Scatter::default(), 0.0);
         let covariance = Matrix3::identity() * said.powi(2);
-        swing(sd, |stamp, value| sum += scatter.add(stamp, value, &covariance, persisting));
+        swing(sd, |stamp, value| sum += scatter.add(stamp, value, &covariance, (persisting, 0.0)));
         sum / 400.0
     }
 
@@ -130,10 +141,26 @@ mod tests {
     }
 
     #[test]
+    fn stamps_in_whole_milliseconds_are_no_scatter() {
+        let mean = |stamp_sd_s: f64| {
+            let (mut scatter, mut sum) = (Scatter::default(), 0.0);
+            swing(1e-5, |stamp, value| {
+                let stamp = Timestamp { ns: (stamp.ns + 500_000).div_euclid(1_000_000) * 1_000_000, ..stamp };
+                sum += scatter.add(stamp, value, &(Matrix3::identity() * 1e-10), (0.0, stamp_sd_s));
+            });
+            sum / 400.0
+        };
+        let (known, unknown) = (mean(1e-3 / 12.0_f64.sqrt()), mean(0.0));
+        assert!((1.0..1.4).contains(&known) && unknown > 20.0, "{known} {unknown}");
+    }
+
+    #[test]
     fn only_a_large_scatter_is_unsteady() {
         let unsteady = |sd: f64| {
             let mut scatter = Scatter::default();
-            swing(sd, |stamp, value| _ = scatter.add(stamp, value, &(Matrix3::identity() * 3e-5_f64.powi(2)), 0.0));
+            swing(sd, |stamp, value| {
+                _ = scatter.add(stamp, value, &(Matrix3::identity() * 3e-5_f64.powi(2)), (0.0, 0.0))
+            });
             scatter.is_unsteady()
         };
         assert!(!unsteady(3e-5) && !unsteady(6e-5) && unsteady(3e-4));

@@ -89,7 +89,7 @@ impl Shake {
     /// The covariance of the shake at a time, m²; zero if there is none.
     pub(in crate::track) fn at(&mut self, stamp: Timestamp) -> Matrix3<f64> {
         self.recent.retain(|sample| (0..=WINDOW_NS).contains(&stamp.ns.saturating_sub(sample.ns)));
-        let course = Course::of(&self.recent);
+        let course = Course::of(self.recent.iter().collect());
         self.rests = course.as_ref().is_some_and(Course::is_at_rest);
         if let Some(course) = course {
             self.known = course.shake().unwrap_or_else(Matrix3::zeros);
@@ -101,7 +101,7 @@ impl Shake {
 
 /// The recent positions compared with a straight line of time.
 struct Course<'a> {
-    recent: &'a VecDeque<Sample>,
+    recent: Vec<&'a Sample>,
     /// Mean time of the samples, seconds from the newest, and their squares about it.
     time: f64,
     times: f64,
@@ -128,24 +128,24 @@ impl Line {
 }
 
 /// When a sample was taken, seconds from the newest.
-fn seconds(recent: &VecDeque<Sample>, sample: &Sample) -> f64 {
-    recent.back().map_or(0.0, |newest| times::seconds(sample.ns.saturating_sub(newest.ns)))
+fn seconds(recent: &[&Sample], sample: &Sample) -> f64 {
+    recent.last().map_or(0.0, |newest| times::seconds(sample.ns.saturating_sub(newest.ns)))
 }
 
 impl<'a> Course<'a> {
     /// `None` with too few positions, or without time between them.
-    fn of(recent: &'a VecDeque<Sample>) -> Option<Self> {
+    fn of(recent: Vec<&'a Sample>) -> Option<Self> {
         if recent.len() < MIN_FRAMES {
             return None;
         }
         let count = recent.len() as f64;
-        let time = recent.iter().map(|sample| seconds(recent, sample) / count).sum::<f64>();
-        let times = recent.iter().map(|sample| (seconds(recent, sample) - time).powi(2)).sum();
+        let time = recent.iter().map(|sample| seconds(&recent, sample) / count).sum::<f64>();
+        let times = recent.iter().map(|sample| (seconds(&recent, sample) - time).powi(2)).sum();
         let expected = recent.iter().map(|sample| sample.covariance / count).sum();
-        let line = line(recent, time, times, |sample| sample.position);
+        let line = line(&recent, time, times, |sample| sample.position);
         // Two frames' worth is in the line.
         let freedom = count - 2.0;
-        let off = recent.iter().map(|sample| line.off(&sample.position, seconds(recent, sample) - time));
+        let off = recent.iter().map(|sample| line.off(&sample.position, seconds(&recent, sample) - time));
         let scatter = Scatter::of(off, freedom, &expected)?;
         Some(Self { recent, time, times, line, freedom, expected, scatter })
     }
@@ -164,14 +164,19 @@ impl<'a> Course<'a> {
         if self.scatter.is_chance() {
             return None;
         }
-        let seen = self.recent.iter().all(|sample| sample.direction.is_some());
-        let beside_bends = if seen { self.beside_bends()? } else { self.scatter };
+        // Where the coil was not seen, nothing tells how far the tube moved the band.
+        let with_coil = self.recent.iter().copied().filter(|sample| sample.direction.is_some()).collect();
+        let beside_bends = match Course::of(with_coil) {
+            Some(course) => course.beside_bends()?,
+            None => self.scatter,
+        };
         beside_bends.beyond_chance()
     }
 
-    /// The scatter without what the turns of the coil explain.
+    /// The scatter without what the turns of the coil explain, which all samples have.
     fn beside_bends(&self) -> Option<Scatter> {
-        let Self { recent, time, times, .. } = *self;
+        let Self { recent, time, times, .. } = self;
+        let (time, times) = (*time, *times);
         let direction = |sample: &Sample| sample.direction.unwrap_or_default();
         let turns = line(recent, time, times, direction);
         let off = |sample: &Sample| {
@@ -179,22 +184,22 @@ impl<'a> Course<'a> {
             [self.line.off(&sample.position, t), turns.off(&direction(sample), t)]
         };
         let mut bends = Bends::default();
-        for [position, turn] in recent.iter().map(off) {
+        for [position, turn] in recent.iter().copied().map(off) {
             bends.add(&turn, &position, 3.0 / self.expected.trace());
         }
         let (slope, uncertain) = bends.slope(BENT_M)?;
         let freedom = self.freedom - (uncertain * bends.squares).trace();
-        let rest = recent.iter().map(off).map(|[position, turn]| position - slope.tr_mul(&turn));
+        let rest = recent.iter().copied().map(off).map(|[position, turn]| position - slope.tr_mul(&turn));
         Scatter::of(rest, freedom, &self.expected)
     }
 }
 
 /// The line through values of the samples, whose times have this mean and squares about it.
-fn line(recent: &VecDeque<Sample>, time: f64, times: f64, value: impl Fn(&Sample) -> Vector3<f64>) -> Line {
+fn line(recent: &[&Sample], time: f64, times: f64, value: impl Fn(&Sample) -> Vector3<f64>) -> Line {
     let count = recent.len() as f64;
     let mean = recent.iter().map(|sample| value(sample) / count).sum::<Vector3<f64>>();
     let moved = |sample: &Sample| (value(sample) - mean) * (seconds(recent, sample) - time);
-    Line { mean, slope: recent.iter().map(moved).sum::<Vector3<f64>>() / times }
+    Line { mean, slope: recent.iter().copied().map(moved).sum::<Vector3<f64>>() / times }
 }
 
 /// How far values scatter.
@@ -247,7 +252,7 @@ mod tests {
         shake_turning(|_| 0.0, way)
     }
 
-    /// The same with a coil that turns by the angle, radians, and is seen with honest errors.
+    /// The same with a coil that turns by the angle, radians, and is seen with honest errors, except in every 50th frame.
     fn shake_turning(turn: impl Fn(f64) -> f64, way: impl Fn(f64) -> Vector3<f64>) -> Vec<Matrix3<f64>> {
         let (mut dice, mut shake) = (Random::new(3), Shake::default());
         let frame = |i: i64| {
@@ -256,7 +261,8 @@ mod tests {
             let time = stamp.ns as f64 * 1e-9;
             let position = Vector3::new(0.1, 0.2, 1.4) + way(time) + error;
             let (sin, cos) = (turn(time) + 3e-3 * dice.normal()).sin_cos();
-            shake.add(stamp, &base(position), Some(&Vector3::new(sin, cos, 0.0)));
+            let direction = Vector3::new(sin, cos, 0.0);
+            shake.add(stamp, &base(position), (i % 50 != 49).then_some(&direction));
             shake.at(stamp)
         };
         (0..600).map(frame).collect()

@@ -440,8 +440,7 @@ mod tests {
         let mut compared = 0;
         for (path, (x, y, z)) in views().iter().flat_map(|path| directions.map(|way| (path, way))) {
             let shape = TubeShape {
-                above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
-                below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],
+                bends: [(-900.0, 1200.0), (3e4, 5e4), (1500.0, -600.0), (-4e4, 2e4)].map(|(x, y)| Vector2::new(x, y)),
                 ..TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(x, y, z), 6e-3)
             };
             let image = TubeImage::of(&shape, 1.6e-3, path, (-20e-3, 25e-3), 3e-3, None, None).unwrap();

@@ -9,7 +9,7 @@ use crate::track::compare::prediction::Scene;
 use crate::track::compare::scores::Scattered;
 use crate::track::compare::view_equations::{Normal, Squares};
 use crate::track::fit::colours_apart::{Apart, ColourSums};
-use crate::track::fit::levenberg_marquardt::{Guess, Minimum, Round, shape_prior};
+use crate::track::fit::levenberg_marquardt::{Guess, Minimum, Round};
 use crate::track::fit::tube_fit::{Look, TubeFit, ViewFit};
 use crate::track::fit::view::MIN_NOISE;
 use crate::track::model::image_model::{AT_REST, ModelError, coder_variance, may_be_coded};
@@ -26,10 +26,11 @@ impl Round<'_> {
         let normals = &state.equations.views;
         let seen = normals.par_iter().map(|normal| normal.hessian.eliminate(0.0)).collect::<Option<Vec<_>>>();
         let seen = seen.ok_or(NoFit::NotConverged)?;
-        let information = seen.iter().fold(shape_prior(), |sum, view| sum + view.shape);
+        let prior = end.shape.prior();
+        let information = seen.iter().fold(prior, |sum, view| sum + view.shape);
         let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();
         // The residuals do not contain the priors' information.
-        let of_priors = plain * shape_prior() * plain;
+        let of_priors = plain * prior * plain;
         let Round { mut views, stretch, picture, model, blurs_px, rests, looks_apart, .. } = self;
         let Guess { images, colours, turns, .. } = &state.guess;
         let compared = views.par_iter_mut().zip(blurs_px).zip(images).zip(colours).zip(&seen);

@@ -10,15 +10,12 @@ use crate::track::fit::view::View;
 use crate::track::model::image_model::ImageModel;
 use crate::track::model::stretch::Stretch;
 use crate::track::model::tube_image::{Sweep, TubeImage};
-use crate::track::model::tube_shape::{BENDS, SHAPE, TubeShape};
-use nalgebra::{DVector, SMatrix, Vector2};
+use crate::track::model::tube_shape::TubeShape;
+use nalgebra::{DVector, Vector2};
 use rayon::prelude::*;
 
 /// Distance of the knots along the tube, metres.
 const KNOT_M: f64 = 3e-3;
-/// Prior σ of the shape's parameters: centre and tangent are free; of the curvature's derivatives, 1/m² and 1/m³. It
-/// reaches 15 /m, half a right angle over 5 cm, within a centimetre.
-const BEND_SD: [f64; BENDS] = [1500.0, 3e5];
 /// Over such a short distance the matrix of the equations hardly changes: half the blur, pixels (RMS along the
 /// stretch). Further away a step by the old one converges slowly.
 const CLOSE_PX: f64 = 0.3;
@@ -103,16 +100,6 @@ impl Guess {
     }
 }
 
-/// Information of the shape's prior.
-pub(in crate::track) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
-    const FREE: usize = 5;
-    let mut information = SMatrix::zeros();
-    for i in FREE..SHAPE {
-        information[(i, i)] = BEND_SD[(i - FREE) / 2 % BENDS].powi(-2);
-    }
-    information
-}
-
 impl Round<'_> {
     /// Iterates until a step is short, or lowers the cost (a χ²) by less than `enough`, as far as can be predicted.
     /// That last step is taken without evaluation.
@@ -180,8 +167,8 @@ impl Round<'_> {
                 view.compare(&scene, picture, before)
             })
             .collect();
-        let prior = shape_prior();
-        let offset = guess.shape.bends();
+        let prior = guess.shape.prior();
+        let offset = guess.shape.parameters_of_bends();
         let prior_gradient = -(prior * offset);
         let cost = views.iter().map(|view| view.cost).sum::<f64>() - offset.dot(&prior_gradient);
         State { guess, equations: Equations { prior, prior_gradient, views, cost } }

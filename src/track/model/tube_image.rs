@@ -243,8 +243,7 @@ mod tests {
     fn the_rings_bulge_turns_with_the_tube() {
         let [path, _] = crate::testing::two_views::views();
         let shape = TubeShape {
-            above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
-            below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],
+            bends: [(-900.0, 1200.0), (3e4, 5e4), (1500.0, -600.0), (-4e4, 2e4)].map(|(x, y)| Vector2::new(x, y)),
             ..TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.2, 1.0, 0.4), 6e-3)
         };
         let image =

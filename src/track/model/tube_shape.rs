@@ -1,30 +1,37 @@
 //! The centre line of a stretch of tube around one or more bands.
 //!
-//! s is the arc length from the middle of the reference band, metres, positive towards the tip. The reference band is
-//! straight over |s| ≤ h (a coil is rigid; h = 0 for a soft band). Beyond it the tube bends: its curvature starts at
-//! zero, because what holds the coil also stiffens the tube beside it, and is κ'σ + ½κ''σ² after the arc σ, separately
-//! on either side, with two components across the tangent t. Its integral φ turns the direction:
+//! s is the arc length from the middle of the reference band, metres, positive towards the tip. Its direction turns by
+//! the angle φ, with two components across the tangent t at s = 0:
 //!
 //! T(s) = t (1 − ½|φ|²) + N φ, X(s) = c + t (s − ½∫|φ|²) + N ∫φ.
 //!
 //! Accurate to |φ|⁴/24: 2 µm over 15 mm at 0.3 rad.
+//!
+//! - A rigid reference band, a coil, is straight over |s| ≤ h. Beyond it the tube bends: its curvature starts at zero,
+//!   because what holds the coil also stiffens the tube beside it, and is κ'σ + ½κ''σ² after the arc σ, separately on
+//!   either side.
+//! - A soft one (h = 0) bends as the tube beside it: the curvature is κ + κ's + ½κ''s². That of a rod which is loaded at
+//!   its end alone changes linearly along it; the last term is for its weight, and for a band that stiffens it.
 
 use nalgebra::{Const, Dyn, Matrix3, Matrix3x2, OMatrix, Point3, SMatrix, SVector, Vector2, Vector3};
+use std::ops::Range;
 
-/// Number of derivatives of the curvature with respect to arc length on one side of the straight part: first and
-/// second.
-pub(in crate::track) const BENDS: usize = 2;
+/// Number of bends, which say how the curvature changes along the arc: of a rigid band κ' and κ'' above it, then both
+/// below it; of a soft one κ, κ', κ'', and one without effect.
+pub(in crate::track) const BENDS: usize = 4;
 
-/// Index of the bends above and below the straight part among the parameters.
-const ABOVE: usize = 5;
-const BELOW: usize = ABOVE + 2 * BENDS;
+/// Index of the first bend among the parameters.
+const FIRST_BEND: usize = 5;
 
-/// Number of shape parameters: centre (3), tangent (2), bends above and below (2 each).
-pub(in crate::track) const SHAPE: usize = BELOW + 2 * BENDS;
+/// Number of shape parameters: centre (3), tangent (2), bends (2 each).
+pub(in crate::track) const SHAPE: usize = FIRST_BEND + 2 * BENDS;
 
-/// Power of σ with the first bend: the turn has σ² / 2! with it and σ³ / 3! with the second.
-const POWER: usize = 2;
-const FACTORIALS: [f64; BENDS] = [2.0, 6.0];
+/// 1/n!.
+const PER_FACTORIAL: [f64; 5] = [1.0, 1.0, 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0];
+
+/// Prior σ of the curvature, its first and its second derivative: 1/m, 1/m², 1/m³. Each reaches 15 /m, half a right
+/// angle over 5 cm, within a centimetre; a tube seldom bends by twice that.
+const CURVATURE_SD: [f64; 3] = [30.0, 1500.0, 3e5];
 
 /// Shape parameters (rows) by any number of others.
 pub(in crate::track) type ShapeBy = OMatrix<f64, Const<SHAPE>, Dyn>;
@@ -39,12 +46,37 @@ pub(in crate::track) struct TubeShape {
     pub centre: Point3<f64>,
     /// Orthonormal: columns n1, n2 (across) and t (tangent of the reference band, base to tip).
     pub frame: Matrix3<f64>,
-    /// Derivatives of the curvature just above the straight part, components along n1, n2: 1/m², 1/m³.
-    pub above: [Vector2<f64>; BENDS],
-    /// The same just below it.
-    pub below: [Vector2<f64>; BENDS],
-    /// Half length of the straight part, metres.
+    /// Curvature and its derivatives, components along n1, n2; see [`BENDS`].
+    pub bends: [Vector2<f64>; BENDS],
+    /// Half length of the straight part, metres; 0 of a soft band.
     pub straight_half_m: f64,
+}
+
+/// What turns the tube up to an arc length: Σ bendᵢ σ^pᵢ / pᵢ!, with powers that rise by one.
+struct Turn {
+    /// Arc along which it turns, metres.
+    sigma: f64,
+    /// The bends.
+    bends: Range<usize>,
+    /// Power of the first.
+    power: usize,
+}
+
+impl Turn {
+    /// ∫ⁿ of σ^p / p! for each bend: its index, and the value.
+    fn terms(&self, integrals: usize) -> impl Iterator<Item = (usize, f64)> {
+        let powers = self.power + integrals..;
+        let term = |power: usize| self.sigma.powi(power as i32) * PER_FACTORIAL.get(power).copied().unwrap_or(0.0);
+        self.bends.clone().zip(powers.map(term))
+    }
+
+    /// ∫ of the product of two bends' terms.
+    fn both(&self, i: usize, j: usize) -> f64 {
+        let (p, q) = (self.power + i - self.bends.start, self.power + j - self.bends.start);
+        let power = p + q + 1;
+        let factorials = PER_FACTORIAL.get(p).copied().unwrap_or(0.0) * PER_FACTORIAL.get(q).copied().unwrap_or(0.0);
+        self.sigma.powi(power as i32) / power as f64 * factorials
+    }
 }
 
 impl TubeShape {
@@ -54,13 +86,7 @@ impl TubeShape {
         let helper = if t.x.abs() < 0.6 { Vector3::x() } else { Vector3::z() };
         let n1 = t.cross(&helper).normalize();
         let n2 = t.cross(&n1);
-        Self {
-            centre,
-            frame: Matrix3::from_columns(&[n1, n2, t]),
-            above: [Vector2::zeros(); BENDS],
-            below: [Vector2::zeros(); BENDS],
-            straight_half_m,
-        }
+        Self { centre, frame: Matrix3::from_columns(&[n1, n2, t]), bends: [Vector2::zeros(); BENDS], straight_half_m }
     }
 
     /// Tangent of the reference band.
@@ -74,63 +100,60 @@ impl TubeShape {
     }
 
     /// The bends among the parameters, the others zero.
-    pub(in crate::track) fn bends(&self) -> ShapeStep {
+    pub(in crate::track) fn parameters_of_bends(&self) -> ShapeStep {
         let mut parameters = ShapeStep::zeros();
-        for (i, bend) in self.above.iter().chain(&self.below).enumerate() {
-            parameters.fixed_rows_mut::<2>(ABOVE + 2 * i).copy_from(bend);
+        for (i, bend) in self.bends.iter().enumerate() {
+            parameters.fixed_rows_mut::<2>(FIRST_BEND + 2 * i).copy_from(bend);
         }
         parameters
+    }
+
+    /// Information of what is known of a shape before it is seen: centre and tangent are free.
+    pub(in crate::track) fn prior(&self) -> SMatrix<f64, SHAPE, SHAPE> {
+        let [curvature, first, second] = CURVATURE_SD;
+        let sds = if self.is_soft() { [curvature, first, second, 1.0] } else { [first, second, first, second] };
+        let mut information = SMatrix::zeros();
+        for i in FIRST_BEND..SHAPE {
+            information[(i, i)] = sds[(i - FIRST_BEND) / 2].powi(-2);
+        }
+        information
     }
 
     /// Point of the centre line at arc length `s`, its direction, and d point / d parameters.
     pub(in crate::track) fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>, SMatrix<f64, 3, SHAPE>) {
         let n = self.across();
         let t = self.tangent();
-        let (sigma, first, bends) = self.beyond(s);
-        // φ = Σ aᵢ σⁱ.
-        let a: [Vector2<f64>; BENDS] = std::array::from_fn(|i| bends[i] / FACTORIALS[i]);
-        // ∫σⁱσʲ and ∫σⁱ.
-        let integral = |power: usize| sigma.powi(power as i32 + 1) / (power + 1) as f64;
-        let both = |i: usize, j: usize| integral(i + j + 2 * POWER);
-        let once = |i: usize| integral(i + POWER);
-        let (mut turn, mut aside, mut along) = (Vector2::zeros(), Vector2::zeros(), s);
-        let mut d_along = [Vector2::zeros(); BENDS];
-        for i in 0..BENDS {
-            turn += a[i] * sigma.powi((i + POWER) as i32);
-            aside += a[i] * once(i);
-            d_along[i] = -(0..BENDS).map(|j| a[j] * both(i, j)).sum::<Vector2<f64>>();
-            along += a[i].dot(&d_along[i]) / 2.0;
+        let turning = self.turning(s);
+        let turn = self.turn(s);
+        let (mut aside, mut along) = (Vector2::zeros(), s);
+        let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
+        for (i, once) in turning.terms(1) {
+            aside += self.bends[i] * once;
+            let d_along = -turning.bends.clone().map(|j| self.bends[j] * turning.both(i, j)).sum::<Vector2<f64>>();
+            along += self.bends[i].dot(&d_along) / 2.0;
+            d.fixed_view_mut::<3, 2>(0, FIRST_BEND + 2 * i).copy_from(&(n * once + t * d_along.transpose()));
         }
         let point = self.centre + t * along + n * aside;
         let direction = t * (1.0 - turn.norm_squared() / 2.0) + n * turn;
-
-        let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
         d.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
         d.fixed_view_mut::<3, 2>(0, 3).copy_from(&(n * along - t * aside.transpose()));
-        for (i, d_along) in d_along.iter().enumerate() {
-            let moved = (n * once(i) + t * d_along.transpose()) / FACTORIALS[i];
-            d.fixed_view_mut::<3, 2>(0, first + 2 * i).copy_from(&moved);
-        }
         (point, direction, d)
     }
 
     /// d direction / d parameters at arc length `s`, to first order in the angle φ that the tube has turned by.
     pub(super) fn d_direction(&self, s: f64) -> SMatrix<f64, 3, SHAPE> {
-        let (sigma, first, _) = self.beyond(s);
-        let by: [f64; BENDS] = std::array::from_fn(|i| sigma.powi((i + POWER) as i32) / FACTORIALS[i]);
         let d_turn = self.across() - self.tangent() * self.turn(s).transpose();
         let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
         d.fixed_view_mut::<3, 2>(0, 3).copy_from(&d_turn);
-        for (i, by) in by.into_iter().enumerate() {
-            d.fixed_view_mut::<3, 2>(0, first + 2 * i).copy_from(&(d_turn * by));
+        for (i, by) in self.turning(s).terms(0) {
+            d.fixed_view_mut::<3, 2>(0, FIRST_BEND + 2 * i).copy_from(&(d_turn * by));
         }
         d
     }
 
     /// Angle φ by which the direction has turned at arc length `s`, radians.
     pub(in crate::track) fn turn(&self, s: f64) -> Vector2<f64> {
-        let (sigma, _, bends) = self.beyond(s);
-        (0..BENDS).map(|i| bends[i] * (sigma.powi((i + POWER) as i32) / FACTORIALS[i])).sum()
+        self.turning(s).terms(0).map(|(i, by)| self.bends[i] * by).sum()
     }
 
     /// The step that moves its centre and tangent to those of another shape.
@@ -143,10 +166,16 @@ impl TubeShape {
         step
     }
 
-    /// Distance beyond the straight part, and the bends there: their index among the parameters and their values.
-    fn beyond(&self, s: f64) -> (f64, usize, &[Vector2<f64>; BENDS]) {
+    fn is_soft(&self) -> bool {
+        self.straight_half_m == 0.0
+    }
+
+    fn turning(&self, s: f64) -> Turn {
+        if self.is_soft() {
+            return Turn { sigma: s, bends: 0..3, power: 1 };
+        }
         let sigma = s - s.clamp(-self.straight_half_m, self.straight_half_m);
-        if sigma > 0.0 { (sigma, BELOW, &self.below) } else { (sigma, ABOVE, &self.above) }
+        Turn { sigma, bends: if sigma > 0.0 { 2..4 } else { 0..2 }, power: 2 }
     }
 
     /// The shape moved by a step of its parameters.
@@ -156,14 +185,10 @@ impl TubeShape {
         // axes.
         let axis = self.across() * Vector2::new(-tilt.y, tilt.x);
         let rotation = nalgebra::Rotation3::new(axis);
-        let bent = |bends: &[Vector2<f64>; BENDS], first: usize| {
-            std::array::from_fn(|i| bends[i] + step.fixed_rows::<2>(first + 2 * i))
-        };
         Self {
             centre: self.centre + Vector3::new(step[0], step[1], step[2]),
             frame: rotation * self.frame,
-            above: bent(&self.above, ABOVE),
-            below: bent(&self.below, BELOW),
+            bends: std::array::from_fn(|i| self.bends[i] + step.fixed_rows::<2>(FIRST_BEND + 2 * i)),
             straight_half_m: self.straight_half_m,
         }
     }
@@ -175,8 +200,7 @@ mod tests {
 
     fn bent() -> TubeShape {
         TubeShape {
-            above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
-            below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],
+            bends: [(-900.0, 1200.0), (3e4, 5e4), (1500.0, -600.0), (-4e4, 2e4)].map(|(x, y)| Vector2::new(x, y)),
             ..TubeShape::straight(Point3::new(-0.1, 0.02, 1.4), &Vector3::new(0.3, 0.9, -0.2), 6e-3)
         }
     }
@@ -185,7 +209,7 @@ mod tests {
     #[test]
     fn a_growing_curvature_is_a_clothoid() {
         let shape = TubeShape {
-            below: [Vector2::new(4000.0, 0.0), Vector2::zeros()],
+            bends: [Vector2::zeros(), Vector2::zeros(), Vector2::new(4000.0, 0.0), Vector2::zeros()],
             ..TubeShape::straight(Point3::origin(), &Vector3::z(), 6e-3)
         };
         // 10 mm after a straight part of 6 mm: 0.2 rad.
@@ -200,16 +224,49 @@ mod tests {
         assert!((direction.norm() - 1.0).abs() < 1e-3);
     }
 
+    /// A soft band whose tube bends around it.
+    fn soft() -> TubeShape {
+        TubeShape {
+            bends: [(-8.0, 12.0), (400.0, -300.0), (1e4, 3e4), (0.0, 0.0)].map(|(x, y)| Vector2::new(x, y)),
+            ..TubeShape::straight(Point3::new(-0.1, 0.02, 1.4), &Vector3::new(0.3, 0.9, -0.2), 0.0)
+        }
+    }
+
+    #[test]
+    fn a_soft_band_lies_on_an_arc_of_a_circle() {
+        let curvature = 20.0;
+        let shape = TubeShape {
+            bends: [Vector2::new(curvature, 0.0), Vector2::zeros(), Vector2::zeros(), Vector2::zeros()],
+            ..TubeShape::straight(Point3::origin(), &Vector3::z(), 0.0)
+        };
+        for s in [-15e-3, -4e-3, 8e-3_f64] {
+            let (point, direction, _) = shape.at(s);
+            let angle = curvature * s;
+            let (sin, cos) = angle.sin_cos();
+            let circle = shape.across().column(0) * ((1.0 - cos) / curvature) + Vector3::z() * (sin / curvature);
+            assert!((point.coords - circle).norm() < 4e-6, "{s}: {point} {circle}");
+            assert!((direction.angle(&Vector3::z()) - angle.abs()).abs() < 2e-3, "{s}");
+        }
+    }
+
     #[test]
     fn derivatives_equal_differences_of_moved_shapes() {
-        let shape = bent();
-        for s in [-15e-3, -3e-3, 0.0, 5e-3, 12e-3, 25e-3] {
+        for (shape, places, bends) in [
+            (bent(), [-15e-3, -3e-3, 0.0, 5e-3, 12e-3, 25e-3], [1.0, 1e2, 1.0, 1e2]),
+            (soft(), [-15e-3, -3e-3, 0.0, 5e-3, 12e-3, 15e-3], [1e-2, 1.0, 1e2, 1.0]),
+        ] {
+            derivatives_equal_differences(&shape, &places, bends);
+        }
+    }
+
+    fn derivatives_equal_differences(shape: &TubeShape, places: &[f64], bends: [f64; BENDS]) {
+        for s in places.iter().copied() {
             let (_, _, d) = shape.at(s);
             for k in 0..SHAPE {
                 let h = match k {
                     0..3 => 1e-6,
-                    3..ABOVE => 1e-5,
-                    _ => [1.0, 1e2][(k - ABOVE) / 2 % BENDS],
+                    3..FIRST_BEND => 1e-5,
+                    _ => bends[(k - FIRST_BEND) / 2],
                 };
                 let mut step = ShapeStep::zeros();
                 step[k] = h;
@@ -226,7 +283,7 @@ mod tests {
         let there = TubeShape::straight(Point3::new(-0.09, 0.03, 1.39), &Vector3::new(0.5, 0.8, 0.1), 6e-3);
         let moved = shape.moved(&shape.step_to(&there));
         assert!((moved.centre - there.centre).norm() < 1e-12 && moved.tangent().angle(&there.tangent()) < 1e-7);
-        assert_eq!(moved.below, shape.below);
+        assert_eq!(moved.bends, shape.bends);
         assert!(shape.step_to(&shape).norm() < 1e-12);
     }
 

@@ -8,6 +8,7 @@ mod widening;
 use crate::estimate::{Estimate, Miss, Spot};
 use crate::rig::Rig;
 use crate::segment::SegmentError;
+use crate::source::times::Resolution;
 use crate::source::{Frame, Picture, PixelFormat, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::answer::deflection::deflection;
@@ -91,6 +92,7 @@ pub struct Tracker {
     judge: Judge,
     /// Scatter of the position of each marker, then of the tangent.
     scatter: Vec<Scatter>,
+    stamps: Resolution,
     /// For each marker that is the reference of a group: its last fit.
     before: Vec<Option<Last>>,
     motion: Motion,
@@ -141,6 +143,7 @@ impl Tracker {
             judge: Judge::new(rig),
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
+            stamps: Resolution::default(),
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
             focus: Focus::of(rig),
             blending: Blending::default(),

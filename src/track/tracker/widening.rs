@@ -13,7 +13,9 @@ impl Tracker {
     /// blended pictures; those of positions by the shake of the base band, and its own by how far a coder that predicts
     /// carried it. Only a rig with a base frame says that this band, the first, rests.
     pub(super) fn widen(&mut self, estimate: &mut Estimate, predicted: bool) {
-        let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
+        let stamp = estimate.stamp;
+        self.stamps.add(stamp.ns);
+        let known = (self.model.error.persisting, self.stamps.sd_s().unwrap_or(0.0));
         let base = estimate.markers.first().map(|base| &base.position);
         let mut carried = Matrix3::zeros();
         if let (Some(Ok(base)), Some(_)) = (base, self.rig.resting_base()) {
@@ -30,12 +32,12 @@ impl Tracker {
         let of_base = shake + if carried.trace() > moved.trace() { carried } else { moved };
         for (m, (marker, scatter)) in estimate.markers.iter_mut().zip(&mut self.scatter).enumerate() {
             if let Ok(position) = &mut marker.position {
-                position.covariance *= scatter.add(stamp, position.point.coords, &position.covariance, persisting);
+                position.covariance *= scatter.add(stamp, position.point.coords, &position.covariance, known);
                 position.covariance += if m == 0 { of_base } else { astray };
             }
         }
         if let (Ok(tangent), Some(scatter)) = (&mut estimate.tangent, self.scatter.last_mut()) {
-            tangent.covariance *= scatter.add(stamp, tangent.direction, &tangent.covariance, persisting);
+            tangent.covariance *= scatter.add(stamp, tangent.direction, &tangent.covariance, known);
         }
         let late = |way_m| self.blending.late().max(self.denoised.late(way_m));
         self.ways.widen(estimate, self.rig.catheter.coil, late);

@@ -506,3 +506,17 @@ fn frames_that_show_something_else_are_told_and_leave_no_sigma() {
         assert!(note.contains("have no σ") && note.contains("mm from both"), "{note}");
     }
 }
+
+/// Zeros where nothing was seen: three in a row are not alone, and made the circle four times too large.
+#[test]
+fn points_far_from_their_plane_are_told_and_leave_no_sigma() {
+    let spoiled = Spoiled { noise_m: 5e-5, missing: 0.0, seed: 3, run_in: 0 };
+    let mut recording = simulate(circle, 0.02, CORNER_HZ, spoiled);
+    for frame in &mut recording.frames[300..303] {
+        frame.places[0].point = Some(Point3::new(0.0, 0.0, -0.1));
+    }
+    let observed = [Observed { recording: &recording, pause_s: 0.02, start_ns: Some(START_NS) }];
+    let run = validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0);
+    let note = run.notes.iter().find(|note| note.contains("from their plane")).unwrap();
+    assert!(note.contains("have no σ") && run.response_sd.is_none(), "{note}");
+}

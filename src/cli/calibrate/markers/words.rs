@@ -81,7 +81,17 @@ pub(super) fn warnings(done: &Teaching) -> Vec<String> {
     let contradicted = done.outcome.iter().flat_map(|learned| &learned.contradicted);
     let mut all: Vec<String> = contradicted
         .map(|measure| {
-            format!("{measure}: check the given value, and the scale of the rig (the size of the board's squares)")
+            let last = done.rig.catheter.end.and_then(|end| done.rig.markers.get(end));
+            let at_end = measure.band.is_some() && measure.band.as_ref() == last.map(|marker| &marker.name);
+            let rounded = if at_end && measure.seen_m < measure.given_m {
+                ", and the tube's end: a rounded one looks shorter than it is, which shifts θ and the band's middle; \
+                 give the length that it seems to have"
+            } else {
+                ""
+            };
+            format!(
+                "{measure}: check the given value, and the scale of the rig (the size of the board's squares){rounded}"
+            )
         })
         .collect();
     all.extend(done.outcome.as_ref().ok().and_then(|learned| reversed(&done.rig, learned)));
