@@ -142,7 +142,7 @@ fn along_time(rows: &DMatrix<f64>, filter: &[f64]) -> DMatrix<f64> {
 /// Takes out what the initial state may contribute, where it is free; returns how many numbers that are.
 fn without_initial_state(segment: &Segment, model: &Polynomials, filter: &[f64], rows: &mut DMatrix<f64>) -> usize {
     let states = model.memory();
-    if segment.from_rest || states == 0 || segment.len() <= states {
+    if segment.from_rest || states == 0 {
         return 0;
     }
     let at = model.free_responses(segment.len());

@@ -101,8 +101,8 @@ fn from_fitted_state(model: &Polynomials, segment: &Segment) -> Vec<f64> {
 }
 
 /// The contribution of a segment's initial state to the output from rest, `simulated`, by least squares. Every state of
-/// B/A acts as the response of 1/A to one of the first [`Polynomials::memory`] samples. `None` when the numbers
-/// overflow, the segment is shorter than the memory, or there is no state.
+/// B/A acts as the response of 1/A to one of the first [`Polynomials::memory`] samples. Of a segment that is shorter some
+/// state explains everything. `None` when the numbers overflow, or there is no state.
 pub(in crate::identify) fn free_response(
     model: &Polynomials,
     segment: &Segment,
@@ -112,6 +112,10 @@ pub(in crate::identify) fn free_response(
     if states == 0 {
         return None;
     }
+    if segment.len() < states {
+        let left = segment.output.iter().zip(simulated).map(|(y, m)| if y.is_nan() { 0.0 } else { y - m });
+        return Some(left.collect());
+    }
     let at = model.free_responses(segment.len());
     let reach = segment.len().min(STATE_SAMPLES);
     // The last column is the residual.
@@ -120,7 +124,7 @@ pub(in crate::identify) fn free_response(
         last if last == states => segment.output[t] - simulated[t],
         state => at(t, state),
     });
-    if reach < states || columns.iter().any(|v| !v.is_finite()) {
+    if columns.iter().any(|v| !v.is_finite()) {
         return None;
     }
     let r = columns.qr().r();

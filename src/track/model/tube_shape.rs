@@ -29,9 +29,10 @@ pub(in crate::track) const SHAPE: usize = FIRST_BEND + 2 * BENDS;
 /// 1/n!.
 const PER_FACTORIAL: [f64; 5] = [1.0, 1.0, 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0];
 
-/// Prior σ of the curvature, its first and its second derivative: 1/m, 1/m², 1/m³. Each reaches 15 /m, half a right
-/// angle over 5 cm, within a centimetre; a tube seldom bends by twice that.
-const CURVATURE_SD: [f64; 3] = [30.0, 1500.0, 3e5];
+/// Prior σ of bends, 1/m, 1/m², 1/m³. Beside a rigid band each reaches 15 /m, half a right angle over 5 cm, within a
+/// centimetre. A soft band bends by up to twice that, and its κ'' is small: its weight gives a tube 1e3 /m³.
+const BESIDE_RIGID_SD: [f64; 2] = [1500.0, 3e5];
+const SOFT_SD: [f64; 3] = [30.0, 1500.0, 5e4];
 
 /// Shape parameters (rows) by any number of others.
 pub(in crate::track) type ShapeBy = OMatrix<f64, Const<SHAPE>, Dyn>;
@@ -110,8 +111,8 @@ impl TubeShape {
 
     /// Information of what is known of a shape before it is seen: centre and tangent are free.
     pub(in crate::track) fn prior(&self) -> SMatrix<f64, SHAPE, SHAPE> {
-        let [curvature, first, second] = CURVATURE_SD;
-        let sds = if self.is_soft() { [curvature, first, second, 1.0] } else { [first, second, first, second] };
+        let ([first, second], [curvature, slope, bow]) = (BESIDE_RIGID_SD, SOFT_SD);
+        let sds = if self.is_soft() { [curvature, slope, bow, 1.0] } else { [first, second, first, second] };
         let mut information = SMatrix::zeros();
         for i in FIRST_BEND..SHAPE {
             information[(i, i)] = sds[(i - FIRST_BEND) / 2].powi(-2);
