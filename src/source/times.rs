@@ -139,8 +139,8 @@ impl Resolution {
         }
     }
 
-    /// σ of a stamp by its rounding, seconds; `None` where all are multiples of the frame interval, as 20 ms at 50 fps:
-    /// then it does not show.
+    /// σ of a stamp by its rounding, seconds; `None` where all are multiples of the frame interval, as 20 ms at 50
+    /// fps: then it does not show.
     pub(crate) fn sd_s(&self) -> Option<f64> {
         let hidden = self.shortest_ns.is_some_and(|shortest| self.step_ns >= shortest.div_ceil(2));
         (!hidden).then(|| self.step_ns as f64 / 1e9 / 12.0_f64.sqrt())

@@ -16,8 +16,8 @@ const SAME_UNIT: std::ops::RangeInclusive<f64> = 0.05..=8.0;
 const MANY_LEFT_OUT: f64 = 0.25;
 /// Points that lie further than this fraction of the radius from their circle (RMS) are noted.
 const FAR_FROM_CIRCLE: f64 = 0.05;
-/// The same of the desired size, from their plane. What a tip leaves its plane by on the sphere around its clamp is less:
-/// with a deflection of 30° an eighth of the size.
+/// The same of the desired size, from their plane. What a tip leaves its plane by on the sphere around its clamp is
+/// less: with a deflection of 30° an eighth of the size.
 const FAR_FROM_PLANE: f64 = 0.25;
 /// Distances up to this many σ of a coordinate are noise.
 const NOISE: f64 = 3.0;

@@ -37,7 +37,8 @@ pub(crate) enum TargetShape {
     Solid,
 }
 
-/// Pose of a target from one image, as if in air: OpenCV's `solvePnP` on undistorted points. `None` where there is none.
+/// Pose of a target from one image, as if in air: OpenCV's `solvePnP` on undistorted points. `None` where there is
+/// none.
 pub(crate) fn seen_pose(
     lens: &Lens,
     points: &[(Point3<f64>, Point2<f64>)],

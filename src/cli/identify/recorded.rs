@@ -138,8 +138,8 @@ fn warn_of_delay(args: &Args, name: &str, apparent: &Delay, taken_s: f64, record
     if let Some(times) = misfit(recording, apparent).filter(|_| matters) {
         tracing::warn!(
             "{name}: the delay between commands and output, {:.1} ± {:.1} ms, is that of a model of second order, \
-             which leaves {times:.0} times σ of θ: it makes up for what the model lacks, and may be off by many times \
-             its σ",
+             which leaves {times:.0} times σ of θ: it makes up for what the model lacks, and may be off by many \
+             times its σ",
             delay_s * 1e3,
             sd_s * 1e3
         );

@@ -101,8 +101,8 @@ fn from_fitted_state(model: &Polynomials, segment: &Segment) -> Vec<f64> {
 }
 
 /// The contribution of a segment's initial state to the output from rest, `simulated`, by least squares. Every state of
-/// B/A acts as the response of 1/A to one of the first [`Polynomials::memory`] samples. Of a segment that is shorter some
-/// state explains everything. `None` when the numbers overflow, or there is no state.
+/// B/A acts as the response of 1/A to one of the first [`Polynomials::memory`] samples. Of a segment that is shorter
+/// some state explains everything. `None` when the numbers overflow, or there is no state.
 pub(in crate::identify) fn free_response(
     model: &Polynomials,
     segment: &Segment,

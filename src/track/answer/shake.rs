@@ -252,7 +252,8 @@ mod tests {
         shake_turning(|_| 0.0, way)
     }
 
-    /// The same with a coil that turns by the angle, radians, and is seen with honest errors, except in every 50th frame.
+    /// The same with a coil that turns by the angle, radians, and is seen with honest errors, except in every 50th
+    /// frame.
     fn shake_turning(turn: impl Fn(f64) -> f64, way: impl Fn(f64) -> Vector3<f64>) -> Vec<Matrix3<f64>> {
         let (mut dice, mut shake) = (Random::new(3), Shake::default());
         let frame = |i: i64| {
