@@ -28,8 +28,8 @@ const FIRST_BEND: usize = 5;
 /// Number of shape parameters: centre (3), tangent (2), bends (2 each).
 pub(in crate::track) const SHAPE: usize = FIRST_BEND + 2 * BENDS;
 
-/// 1/n!.
-const PER_FACTORIAL: [f64; 5] = [1.0, 1.0, 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0];
+/// Most bends that turn the tube at one place.
+const MOST: usize = 3;
 
 /// Prior σ of bends, 1/m, 1/m², 1/m³. Beside a rigid band each reaches 15 /m, half a right angle over 5 cm, within a
 /// centimetre. A soft band bends by up to twice that, and its κ'' is small: its weight gives a tube 1e3 /m³.
@@ -55,30 +55,41 @@ pub(in crate::track) struct TubeShape {
     pub straight_half_m: f64,
 }
 
-/// What turns the tube up to an arc length: Σ bendᵢ σ^pᵢ / pᵢ!, with powers that rise by one.
+/// What turns the tube up to an arc length: Σ bendₖ σ^pₖ / pₖ!, with powers that rise by one.
 struct Turn {
     /// Arc along which it turns, metres.
     sigma: f64,
-    /// The bends.
+    /// The bends, at most [`MOST`].
     bends: Range<usize>,
     /// Power of the first.
     power: usize,
+    /// σ^pₖ / pₖ!.
+    terms: [f64; MOST],
 }
 
 impl Turn {
-    /// ∫ⁿ of σ^p / p! for each bend: its index, and the value.
-    fn terms(&self, integrals: usize) -> impl Iterator<Item = (usize, f64)> {
-        let powers = self.power + integrals..;
-        let term = |power: usize| self.sigma.powi(power as i32) * PER_FACTORIAL.get(power).copied().unwrap_or(0.0);
-        self.bends.clone().zip(powers.map(term))
+    /// `first` is the term of the first bend.
+    fn new(sigma: f64, bends: Range<usize>, power: usize, first: f64) -> Self {
+        let mut terms = [first; MOST];
+        for k in 1..MOST {
+            terms[k] = terms[k - 1] * sigma / (power + k) as f64;
+        }
+        Self { sigma, bends, power, terms }
+    }
+
+    /// Each bend's index, and its term.
+    fn terms(&self) -> impl Iterator<Item = (usize, f64)> {
+        self.bends.clone().zip(self.terms)
+    }
+
+    /// ∫ of the term of the `k`-th bend.
+    fn once(&self, k: usize) -> f64 {
+        self.terms[k] * self.sigma / (self.power + k + 1) as f64
     }
 
     /// ∫ of the product of two bends' terms.
-    fn both(&self, i: usize, j: usize) -> f64 {
-        let (p, q) = (self.power + i - self.bends.start, self.power + j - self.bends.start);
-        let power = p + q + 1;
-        let factorials = PER_FACTORIAL.get(p).copied().unwrap_or(0.0) * PER_FACTORIAL.get(q).copied().unwrap_or(0.0);
-        self.sigma.powi(power as i32) / power as f64 * factorials
+    fn both(&self, k: usize, l: usize) -> f64 {
+        self.terms[k] * self.terms[l] * self.sigma / (2 * self.power + k + l + 1) as f64
     }
 }
 
@@ -127,12 +138,16 @@ impl TubeShape {
         let n = self.across();
         let t = self.tangent();
         let turning = self.turning(s);
-        let turn = self.turn(s);
-        let (mut aside, mut along) = (Vector2::zeros(), s);
+        let (mut turn, mut aside, mut along) = (Vector2::zeros(), Vector2::zeros(), s);
         let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
-        for (i, once) in turning.terms(1) {
+        for (k, i) in turning.bends.clone().enumerate() {
+            let once = turning.once(k);
+            turn += self.bends[i] * turning.terms[k];
             aside += self.bends[i] * once;
-            let d_along = -turning.bends.clone().map(|j| self.bends[j] * turning.both(i, j)).sum::<Vector2<f64>>();
+            let mut d_along = Vector2::zeros();
+            for (l, j) in turning.bends.clone().enumerate() {
+                d_along -= self.bends[j] * turning.both(k, l);
+            }
             along += self.bends[i].dot(&d_along) / 2.0;
             d.fixed_view_mut::<3, 2>(0, FIRST_BEND + 2 * i).copy_from(&(n * once + t * d_along.transpose()));
         }
@@ -145,10 +160,11 @@ impl TubeShape {
 
     /// d direction / d parameters at arc length `s`, to first order in the angle φ that the tube has turned by.
     pub(super) fn d_direction(&self, s: f64) -> SMatrix<f64, 3, SHAPE> {
-        let d_turn = self.across() - self.tangent() * self.turn(s).transpose();
+        let turning = self.turning(s);
+        let d_turn = self.across() - self.tangent() * self.turned_by(&turning).transpose();
         let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
         d.fixed_view_mut::<3, 2>(0, 3).copy_from(&d_turn);
-        for (i, by) in self.turning(s).terms(0) {
+        for (i, by) in turning.terms() {
             d.fixed_view_mut::<3, 2>(0, FIRST_BEND + 2 * i).copy_from(&(d_turn * by));
         }
         d
@@ -156,7 +172,11 @@ impl TubeShape {
 
     /// Angle φ by which the direction has turned at arc length `s`, radians.
     pub(in crate::track) fn turn(&self, s: f64) -> Vector2<f64> {
-        self.turning(s).terms(0).map(|(i, by)| self.bends[i] * by).sum()
+        self.turned_by(&self.turning(s))
+    }
+
+    fn turned_by(&self, turning: &Turn) -> Vector2<f64> {
+        turning.terms().map(|(i, by)| self.bends[i] * by).sum()
     }
 
     /// The step that moves its centre and tangent to those of another shape.
@@ -175,10 +195,10 @@ impl TubeShape {
 
     fn turning(&self, s: f64) -> Turn {
         if self.is_soft() {
-            return Turn { sigma: s, bends: 0..3, power: 1 };
+            return Turn::new(s, 0..3, 1, s);
         }
         let sigma = s - s.clamp(-self.straight_half_m, self.straight_half_m);
-        Turn { sigma, bends: if sigma > 0.0 { 2..4 } else { 0..2 }, power: 2 }
+        Turn::new(sigma, if sigma > 0.0 { 2..4 } else { 0..2 }, 2, sigma * sigma / 2.0)
     }
 
     /// The shape moved by a step of its parameters.
