@@ -31,8 +31,8 @@ pub(super) fn warn_of_slow_log(source: &str, held: &Held, period_s: f64) {
         let unit = if every_s > IN_MS * period_s { " (are their times in milliseconds?)" } else { "" };
         tracing::warn!(
             "{source}: currents come every {every_s:.3} s and frames every {period_s:.3} s{unit}: each current is \
-             taken as held until the next. If the amplifier was told more often than this table, what happened in between is \
-             not known, and H(s) is wrong"
+             taken as held until the next. If the amplifier was told more often than this table, what happened in \
+             between is not known, and H(s) is wrong"
         );
     }
 }

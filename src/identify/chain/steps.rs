@@ -73,8 +73,7 @@ pub(crate) fn identify_with_progress(
     let mut models = vec![modelled(Role::Full, title, &estimated.model, Some(estimated.covariance.clone()))];
     // 3. fewer states
     let band = (!settings.all_frequencies).then_some(excited);
-    // By Eq. 6 the output's noise is in its own input.
-    let of_output = training.iter().any(|s| s.instrument.is_some());
+    let of_output = has_noise_of_output(&training);
     let delays = delays(&settings.choice);
     let attempt = |target: Target| {
         progress("fitting the refined model");
@@ -257,6 +256,11 @@ impl Attempt {
     }
 }
 
+/// Whether the output's noise is in its own input, as by Eq. 6.
+fn has_noise_of_output(training: &[Segment]) -> bool {
+    training.iter().any(|segment| segment.instrument.is_some())
+}
+
 /// What speaks against σ of the refined model: its errors may be those of its order, of a mean, of rows that are
 /// shifted, or of feedback, and a σ of noise would be wrong.
 #[derive(Default)]
@@ -279,7 +283,7 @@ impl Objections {
     ) -> Self {
         let model_error = ModelError::of(training, full, &refined.estimated, settings.initial_state);
         // By Eq. 6 what is left follows the input by its own noise.
-        let of_output = training.iter().any(|s| s.instrument.is_some());
+        let of_output = has_noise_of_output(training);
         let left = if of_output { None } else { Left::of(training, &refined.estimated.model, shortest) };
         let doubted = left
             .is_some_and(|left| left.follows() || left.is_off_centre() || !settings.commanded && left.is_fed_back());

@@ -145,15 +145,15 @@ fn without_initial_state(segment: &Segment, model: &Polynomials, filter: &[f64],
     if segment.from_rest || states == 0 {
         return 0;
     }
-    let at = model.free_responses(segment.len());
-    let free = DMatrix::from_fn(segment.len(), states, at);
-    let mut free = along_time(&free, filter);
     let missing: Vec<bool> = rows.row_iter().map(|row| row.iter().any(|v| v.is_nan())).collect();
     let present = missing.iter().filter(|missing| !**missing).count();
     if present <= states {
         rows.fill(f64::NAN);
         return 0;
     }
+    let at = model.free_responses(segment.len());
+    let free = DMatrix::from_fn(segment.len(), states, at);
+    let mut free = along_time(&free, filter);
     for (k, _) in missing.iter().enumerate().filter(|(_, missing)| **missing) {
         free.row_mut(k).fill(0.0);
         rows.row_mut(k).fill(0.0);

@@ -175,8 +175,7 @@ impl<'a> Course<'a> {
 
     /// The scatter without what the turns of the coil explain, which all samples have.
     fn beside_bends(&self) -> Option<Scatter> {
-        let Self { recent, time, times, .. } = self;
-        let (time, times) = (*time, *times);
+        let Self { ref recent, time, times, .. } = *self;
         let direction = |sample: &Sample| sample.direction.unwrap_or_default();
         let turns = line(recent, time, times, direction);
         let off = |sample: &Sample| {

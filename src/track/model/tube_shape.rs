@@ -5,8 +5,8 @@
 //!
 //! T(s) = t (1 − ½|φ|²) + N φ, X(s) = c + t (s − ½∫|φ|²) + N ∫φ.
 //!
-//! Left out are |φ|⁴/24 of the length and |φ|³/6 of the way aside: beside a rigid band 2 µm over 15 mm at 0.3 rad;
-//! beside a soft one 17 µm, which its κ'' takes up.
+//! Left out are |φ|⁴/24 of the length and |φ|³/6 of the way aside: beside a rigid band 2 µm over 15 mm at 0.3
+//! rad; beside a soft one 17 µm, which its κ'' takes up.
 //!
 //! - A rigid reference band, a coil, is straight over |s| ≤ h. Beyond it the tube bends: its curvature starts at
 //!   zero, because what holds the coil also stiffens the tube beside it, and is κ'σ + ½κ''σ² after the arc σ,
@@ -138,11 +138,11 @@ impl TubeShape {
         let n = self.across();
         let t = self.tangent();
         let turning = self.turning(s);
-        let (mut turn, mut aside, mut along) = (Vector2::zeros(), Vector2::zeros(), s);
+        let turn = self.turned_by(&turning);
+        let (mut aside, mut along) = (Vector2::zeros(), s);
         let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
         for (k, i) in turning.bends.clone().enumerate() {
             let once = turning.once(k);
-            turn += self.bends[i] * turning.terms[k];
             aside += self.bends[i] * once;
             let mut d_along = Vector2::zeros();
             for (l, j) in turning.bends.clone().enumerate() {
