@@ -135,7 +135,7 @@ fn rig(setup: &Setup) -> Result<Rig, Box<dyn Error + Send + Sync>> {
         surfaces,
         views,
         markers: markers(setup.bands)?,
-        catheter: Catheter { diameter_m: DIAMETER_M, coil: last / 2, end: None, rigid_m: None },
+        catheter: Catheter { diameter_m: DIAMETER_M, coil: last / 2, end: None, end_rounding_m: None, rigid_m: None },
         base: None,
         provenance: toml::Table::new(),
     })

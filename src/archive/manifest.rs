@@ -167,7 +167,6 @@ impl Manifest {
             let line = 1 + before.iter().filter(|byte| **byte == b'\n').count() as u64;
             (line, "is not text in UTF-8; save the table as UTF-8".to_owned())
         })?;
-        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let first = text.lines().next().unwrap_or_default();
         let tabs = first.contains('\t') || !first.contains(',');
         let mut reader = csv::ReaderBuilder::new()

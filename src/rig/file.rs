@@ -107,6 +107,7 @@ pub(super) struct CatheterFile {
     pub diameter_mm: f64,
     pub coil: String,
     pub end: Option<String>,
+    pub end_rounding_mm: Option<f64>,
     pub rigid_mm: Option<f64>,
 }
 
@@ -198,7 +199,7 @@ mod tests {
     fn a_key_like_no_other_gets_the_list() {
         assert_eq!(
             error("[catheter]\nbanana = 1\n"),
-            "rig.toml:2: unknown key `banana`, known here: diameter_mm, coil, end, rigid_mm"
+            "rig.toml:2: unknown key `banana`, known here: diameter_mm, coil, end, end_rounding_mm, rigid_mm"
         );
     }
 

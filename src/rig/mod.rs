@@ -296,6 +296,9 @@ pub struct Catheter {
     pub coil: usize,
     /// Index of the marker that ends the tube, if one does.
     pub end: Option<usize>,
+    /// Length over which its end is rounded, as half an ellipsoid, metres: half the diameter for a half sphere. `None`
+    /// for an end that is cut straight.
+    pub end_rounding_m: Option<f64>,
     /// Length of the stiff part around the coil's middle, metres, if it is longer than the coil's band.
     pub rigid_m: Option<f64>,
 }

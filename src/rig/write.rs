@@ -200,6 +200,9 @@ fn catheter(catheter: &Catheter, markers: &[Marker]) -> String {
     if let Some(end) = catheter.end {
         let _ = writeln!(text, "end = \"{}\"", name(end));
     }
+    if let Some(rounding_m) = catheter.end_rounding_m {
+        let _ = writeln!(text, "end_rounding_mm = {}", millimetres(rounding_m));
+    }
     if let Some(rigid_m) = catheter.rigid_m {
         let _ = writeln!(text, "rigid_mm = {}", millimetres(rigid_m));
     }

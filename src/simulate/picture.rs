@@ -66,7 +66,8 @@ impl Renderer {
         let look = scene.look(rig)?;
         let rays: Vec<Rays> = rig.views.iter().map(|view| Rays::of(view, rig.camera.size_px)).collect();
         let radius_m = rig.catheter.diameter_m / 2.0;
-        let tube = Solid { radius_m, from_m: -HIDDEN_RADII * radius_m, to_m: scene.length_m };
+        let rounding_m = rig.catheter.end_rounding_m.unwrap_or(0.0);
+        let tube = Solid { radius_m, from_m: -HIDDEN_RADII * radius_m, to_m: scene.length_m, rounding_m };
         let weights = Weights::of(scene.blur_px(rig));
         let ground = blurred(scene.ground(rig, &look), size_px, &weights);
         let mut renderer = Self {
@@ -80,7 +81,7 @@ impl Renderer {
             weights,
             reader: Reader::new(scene.sensor),
         };
-        let held = Solid { radius_m: scene.clamp.radius_m, from_m: -scene.clamp.length_m, to_m: 0.0 };
+        let held = Solid { radius_m: scene.clamp.radius_m, from_m: -scene.clamp.length_m, to_m: 0.0, rounding_m: 0.0 };
         renderer.clamp = (0..rig.views.len())
             .map(|view| {
                 let look = &renderer.look;

@@ -8,7 +8,7 @@
 use super::centre_line::CentreLine;
 use super::rays::Rays;
 use crate::optics::{OpticalPath, Ray};
-use nalgebra::{Point2, Vector2, Vector3};
+use nalgebra::{Point2, Point3, Vector2, Vector3};
 
 /// Cells along a pixel.
 pub(super) const FINE: usize = 3;
@@ -56,6 +56,8 @@ pub(super) struct Solid {
     /// From where to where it goes along its centre line, metres.
     pub(super) from_m: f64,
     pub(super) to_m: f64,
+    /// Length over which its end is rounded, as half an ellipsoid, metres; 0 where it is cut straight.
+    pub(super) rounding_m: f64,
 }
 
 /// A knot of the projected centre line.
@@ -236,11 +238,16 @@ impl Solid {
         };
         let side = on_side(met_m.clamp(self.from_m, self.to_m), normal, false);
         // 3. the ends: beyond the one towards the tip its face may be seen
-        let within = (0.5 + (self.to_m - met_m) / arc_width_m).clamp(0.0, 1.0);
+        let body_m = self.to_m - self.rounding_m;
+        let within = (0.5 + (body_m - met_m) / arc_width_m).clamp(0.0, 1.0);
         let began = (0.5 + (met_m - self.from_m) / arc_width_m).clamp(0.0, 1.0);
-        let (end, facing) = line.at(self.to_m);
-        let mut face = 0.0;
-        if within < 1.0 && facing.dot(&d) < -MIN_SINE {
+        let (end, facing) = line.at(body_m);
+        let (mut face, mut face_light) = (0.0, [0.0; 3]);
+        if within < 1.0 && self.rounding_m > 0.0 {
+            let nose = self.nose(&end, &facing, ray);
+            face = (0.5 + nose.inside_m / cell_m).clamp(0.0, 1.0) * (1.0 - within);
+            face_light = on_side(body_m + nose.along_m, nose.normal, false);
+        } else if within < 1.0 && facing.dot(&d) < -MIN_SINE {
             let met = ray.at((end - ray.origin).dot(&facing) / d.dot(&facing));
             let off = met - end;
             // The face is seen obliquely: along the axis' image a cell covers more of it.
@@ -248,9 +255,9 @@ impl Solid {
             let (across, oblique) = (off.dot(&side), facing.cross(&side).dot(&off) / facing.dot(&d));
             let rim_m = cell_m * across.hypot(oblique) / off.norm().max(1e-9);
             face = (0.5 + (radius_m - off.norm()) / rim_m.max(cell_m)).clamp(0.0, 1.0) * (1.0 - within);
+            face_light = on_side(self.to_m, facing, true);
         }
         let side_part = cover * within * began;
-        let face_light = if face > 0.0 { on_side(self.to_m, facing, true) } else { [0.0; 3] };
         let all = side_part + face;
         if all <= 0.0 {
             return None;
@@ -260,6 +267,38 @@ impl Solid {
             (of(&side) * side_part + of(&face_light) * face) as f32
         });
         Some((all.min(1.0) as f32, light, depth_m))
+    }
+}
+
+/// Where a ray meets the rounded end, or comes nearest to it.
+struct Nose {
+    /// Distance of the ray from its outline, metres, positive inside.
+    inside_m: f64,
+    /// Distance of the place along the tube from where the rounding begins, metres.
+    along_m: f64,
+    /// Outwards.
+    normal: Vector3<f64>,
+}
+
+impl Solid {
+    /// The rounded end is half an ellipsoid around `begin`, along `facing`: a sphere where lengths are divided by its
+    /// half axes.
+    fn nose(&self, begin: &Point3<f64>, facing: &Vector3<f64>, ray: &Ray) -> Nose {
+        let (across_m, along_m) = (self.radius_m, self.rounding_m);
+        let scaled = |v: Vector3<f64>| {
+            let along = facing * v.dot(facing);
+            (v - along) / across_m + along / along_m
+        };
+        let (from, way) = (scaled(ray.origin - begin), scaled(ray.direction));
+        let towards = -from.dot(&way) / way.norm_squared();
+        let aside = from + way * towards;
+        let distance = aside.norm();
+        // How fast that distance grows where the ray is moved aside.
+        let outwards = scaled(aside / distance.max(1e-12));
+        let per_m = (outwards - ray.direction * outwards.dot(&ray.direction)).norm();
+        let before = (1.0 - distance * distance).max(0.0).sqrt() / way.norm();
+        let met = from + way * (towards - before);
+        Nose { inside_m: (1.0 - distance) / per_m.max(1e-12), along_m: met.dot(facing) * along_m, normal: scaled(met) }
     }
 }
 
@@ -311,7 +350,6 @@ impl Cell {
 mod tests {
     use super::*;
     use crate::rig::Rig;
-    use nalgebra::Point3;
     use std::path::Path;
 
     /// The tube's outline by sampling: cells are divided once more, each part's ray is inside or not.
@@ -325,7 +363,7 @@ mod tests {
         let knots: Vec<_> =
             (0..=5).map(|k| (f64::from(k) * 4e-3, begin + direction * (f64::from(k) * 4e-3), direction)).collect();
         let line = CentreLine::through(&knots).unwrap();
-        let solid = Solid { radius_m: 1.6e-3, from_m: 0.0, to_m: 20e-3 };
+        let solid = Solid { radius_m: 1.6e-3, from_m: 0.0, to_m: 20e-3, rounding_m: 0.0 };
         let cells = solid.cells(&line, &view.optics, &rays, |_| [1.0; 3]);
         let meets = |x: f64, y: f64| {
             let ray = rays.at(x, y).unwrap();

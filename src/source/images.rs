@@ -376,8 +376,7 @@ fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, Sour
     let mut lines = Lines::of(&text, None);
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_slice());
     let header = reader.headers().map_err(csv_error)?.clone();
-    // Spreadsheets put a byte order mark in front.
-    let column = |name: &str| header.iter().position(|h| h.trim_start_matches('\u{feff}') == name);
+    let column = |name: &str| header.iter().position(|h| h == name);
     let time_column = column("stamp_ns").map(|c| (c, true)).or_else(|| column("t_s").map(|c| (c, false)));
     let (Some(file_column), Some((time_column, in_ns))) = (column("file"), time_column) else {
         let found = header.iter().collect::<Vec<_>>().join(",");

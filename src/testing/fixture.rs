@@ -37,7 +37,7 @@ pub(crate) fn rig() -> Rig {
             marker("coil", 0.012, None),
             marker("tip", 0.006, Some([0.0, 51.0, 255.0])),
         ],
-        catheter: Catheter { diameter_m: 0.0032, coil: 1, end: Some(2), rigid_m: None },
+        catheter: Catheter { diameter_m: 0.0032, coil: 1, end: Some(2), end_rounding_m: None, rigid_m: None },
         base: Some(Base {
             base_from_camera: Isometry3::from_parts(
                 Translation3::new(0.11, -0.02, -0.93),

@@ -42,12 +42,13 @@ pub(crate) fn views() -> [OpticalPath; 2] {
     ]
 }
 
-/// The rig of these views, with base, coil and tip on a tube of this radius.
-fn rig(radius_m: f64) -> Rig {
+/// The rig of these views, with base, coil and tip on a tube of this radius, with an end rounded over this length.
+fn rig(radius_m: f64, rounding_m: f64) -> Rig {
     let mut rig = super::fixture::rig();
     rig.camera.size_px = [2 * SIZE, SIZE];
     rig.camera.blur_px = Some(BLUR_PX);
     rig.catheter.diameter_m = 2.0 * radius_m;
+    rig.catheter.end_rounding_m = (rounding_m > 0.0).then_some(rounding_m);
     rig.markers.iter_mut().for_each(|marker| marker.colours.clear());
     let high = f64::from(SIZE) - 0.5;
     for (view, (optics, left)) in rig.views.iter_mut().zip(views().into_iter().zip([-0.5, high])) {
@@ -65,6 +66,8 @@ pub(crate) struct Tube {
     pub centre: Point3<f64>,
     pub direction: Vector3<f64>,
     pub radius_m: f64,
+    /// Length over which its end is rounded, metres.
+    pub rounding_m: f64,
     /// Towards a lamp far away.
     pub lamp: Vector3<f64>,
 }
@@ -76,6 +79,7 @@ impl Tube {
             centre: Point3::new(0.001, -0.004, 1.35),
             direction: direction.normalize(),
             radius_m: 1.6e-3,
+            rounding_m: 0.0,
             lamp: Vector3::new(-0.4, -0.5, -0.8),
         }
     }
@@ -110,6 +114,9 @@ impl Tube {
             seed: 1,
         };
         let exposed = Exposed { begin: elsewhere(-0.5), middle: rest, end: elsewhere(0.5) };
-        Renderer::new(&rig(self.radius_m), &scene).unwrap().picture(&exposed, seed, Stored::Whole).unwrap()
+        Renderer::new(&rig(self.radius_m, self.rounding_m), &scene)
+            .unwrap()
+            .picture(&exposed, seed, Stored::Whole)
+            .unwrap()
     }
 }

@@ -68,6 +68,7 @@ fn markers_learned_from_clicks_measure_another_recording() {
     // Chroma of the recording lies between the luma columns, its tag says on them: half a pixel to the right.
     let [right, down] = rig.camera.chroma_offset_px;
     assert!((right - 0.5).abs() < 0.1 && down.abs() < 0.1, "chroma offset {right}, {down} px");
+    assert_eq!(rig.catheter.end_rounding_m, None, "it is cut straight");
     let centres_mm: Vec<f64> = rig.markers.iter().map(|m| m.centre_m.unwrap() * 1e3).collect();
     // By construction of the catheter.
     let [upper_mm, lower_mm] = [centres_mm[1] - centres_mm[0], centres_mm[2] - centres_mm[1]];

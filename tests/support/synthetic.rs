@@ -67,7 +67,7 @@ pub(crate) fn rig() -> Rig {
         surfaces,
         views,
         markers: vec![marker("base", 6.0, 6.0), marker("coil", 12.0, 85.0), marker("tip", 6.0, 107.0)],
-        catheter: Catheter { diameter_m: 2.0 * RADIUS_M, coil: 1, end: Some(2), rigid_m: None },
+        catheter: Catheter { diameter_m: 2.0 * RADIUS_M, coil: 1, end: Some(2), end_rounding_m: None, rigid_m: None },
         base: Some(Base {
             base_from_camera: Isometry3::from_parts(Translation3::from(-origin.coords), turn),
             b0,

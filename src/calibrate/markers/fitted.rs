@@ -6,7 +6,7 @@ use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track, view_blurs};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
-use crate::rig::{Camera, Marker, Rig};
+use crate::rig::{Camera, Catheter, Marker, Rig};
 use crate::source::{Frame, Picture, Timestamp};
 use crate::track::LONGEST_EXPOSURE;
 use crate::track::misfit_curve::mean_with_sd;
@@ -47,6 +47,11 @@ const GAMMA_STEP: f64 = 0.1;
 const GAMMAS: (f64, f64) = (0.25, 1.4);
 const MIN_GAIN: f64 = 0.001;
 const MIN_GAIN_SDS: f64 = 3.0;
+/// Where the search for the rounding of the tube's end begins, its step and longest, and the least that counts, radii.
+const FIRST_ROUNDING: f64 = 0.7;
+const ROUNDING_STEP: f64 = 0.2;
+const ROUNDINGS: (f64, f64) = (0.05, 2.0);
+const MIN_ROUNDING: f64 = 0.15;
 /// Step of the search for a band's length, and its limits, as ratios to the given one.
 const LENGTH_STEP: f64 = 0.05;
 const LENGTHS: (f64, f64) = (0.74, 1.36);
@@ -227,6 +232,10 @@ pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Resu
     if rig.camera.gamma.is_some() {
         sharpen(rig, frames, followers, reach);
     }
+    rig.catheter.end_rounding_m = end_rounding_m(rig, frames, followers);
+    if rig.catheter.end_rounding_m.is_some() {
+        sharpen(rig, frames, followers, reach);
+    }
     if rig.camera.exposure_s.is_none() {
         rig.camera.exposure_s = exposure_s(rig, frames, followers)?;
         if rig.camera.exposure_s.is_some() {
@@ -253,13 +262,41 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
         Some(minimise(FIRST_GAMMA, GAMMA_STEP, GAMMAS, |gamma| compared.excess(&with(gamma)))?.at)
     });
     let (gamma, sd) = mean_with_sd(&gammas.collect::<Option<Vec<_>>>()?);
-    // By how much it explains each frame better than what is declared: a few would tell too little of the scatter.
-    let excesses = Compared::with(rig, every(frames, JUDGING_FRAMES), followers).excesses(&with(gamma))?;
+    tracing::debug!("gamma {gamma:.3} ± {sd:.3}");
+    is_clearly_better(rig, &with(gamma), frames, followers).then(|| (gamma * 1e3).round() / 1e3)
+}
+
+/// Whether another rig explains the pictures clearly better. (Each frame is compared: a few would tell too little of the
+/// scatter.)
+fn is_clearly_better(rig: &Rig, other: &Rig, frames: &[Frame], followers: &[Frame]) -> bool {
+    let Some(excesses) = Compared::with(rig, every(frames, JUDGING_FRAMES), followers).excesses(other) else {
+        return false;
+    };
     let gains: Vec<f64> = excesses.into_iter().map(|excess| -excess).collect();
     let (gain, gain_sd) = mean_with_sd(&clipped(&gains));
-    tracing::debug!("gamma {gamma:.3} ± {sd:.3}, better by {gain:.4} ± {gain_sd:.4} than what is declared");
-    let clearly = gain > MIN_GAIN.max(MIN_GAIN_SDS * gain_sd);
-    clearly.then(|| (gamma * 1e3).round() / 1e3)
+    tracing::debug!("explained better by {gain:.4} ± {gain_sd:.4}");
+    gain > MIN_GAIN.max(MIN_GAIN_SDS * gain_sd)
+}
+
+/// Length over which the tube's end is rounded, metres, where that explains the pictures clearly better than an end
+/// that is cut straight.
+fn end_rounding_m(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
+    let end = rig.markers.get(rig.catheter.end?)?;
+    let straight = Rig { catheter: Catheter { end_rounding_m: None, ..rig.catheter.clone() }, ..rig.clone() };
+    let with = |rounding_m: f64| {
+        let mut changed = straight.clone();
+        changed.catheter.end_rounding_m = Some(rounding_m);
+        changed
+    };
+    let radius_m = rig.catheter.diameter_m / 2.0;
+    let limits = (ROUNDINGS.0 * radius_m, end.length_m.min(ROUNDINGS.1 * radius_m));
+    let [start, step] = [FIRST_ROUNDING, ROUNDING_STEP].map(|radii| radii * radius_m);
+    let some = every(frames, TUNING_FRAMES);
+    let (rounding_m, sd_m) = determined(&straight, &some, start, step, limits, with)?;
+    tracing::debug!("the end is rounded over {:.3} ± {:.3} mm", rounding_m * 1e3, sd_m * 1e3);
+    let counts = rounding_m > MIN_ROUNDING * radius_m && rounding_m > MIN_GAIN_SDS * sd_m;
+    (counts && is_clearly_better(&straight, &with(rounding_m), frames, followers))
+        .then_some((rounding_m * 1e6).round() / 1e6)
 }
 
 /// Whether samples of chroma show how far they reached: a coder that predicts pictures has smoothed chroma more than

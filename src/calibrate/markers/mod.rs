@@ -172,8 +172,15 @@ impl Teaching {
         self.learn_picked(clicks, frame, &pixels)?;
         let rig = &mut self.rig;
         self.views = learn_everywhere(rig, frames)?;
-        let centre_sd_m = place_bands(rig, frames)?;
-        let blur_sd_px = tune(rig, frames, followers)?;
+        let given = rig.markers.clone();
+        let mut centre_sd_m = place_bands(rig, frames)?;
+        let mut blur_sd_px = tune(rig, frames, followers)?;
+        // The last band's place was found as if the tube were cut straight.
+        if rig.catheter.end_rounding_m.is_some() && centre_sd_m.iter().any(Option::is_some) {
+            rig.markers.iter_mut().zip(&given).for_each(|(marker, given)| marker.centre_m = given.centre_m);
+            centre_sd_m = place_bands(rig, frames)?;
+            blur_sd_px = tune(rig, frames, followers)?;
+        }
         if let Ok(views) = learn_everywhere(rig, frames) {
             self.views = views;
         }

@@ -109,7 +109,7 @@ impl Points {
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(comment).from_reader(text.as_slice());
         let headers = reader.headers().map_err(read)?.clone();
         let at = |column: &'static str| {
-            let place = headers.iter().position(|name| name.trim_start_matches('\u{feff}') == column);
+            let place = headers.iter().position(|name| name == column);
             place.ok_or_else(|| PointsError::Column { file: file.to_owned(), column })
         };
         let [picture, view] = [at("picture")?, at("view")?];

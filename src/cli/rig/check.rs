@@ -323,7 +323,8 @@ fn catheter(out: &mut String, rig: &Draft) -> fmt::Result {
             None => "colour not learned".to_owned(),
         };
         let coil = if index == catheter.coil { "; its direction is the coil's tangent" } else { "" };
-        let end = if Some(index) == catheter.end { "; ends the tube" } else { "" };
+        let rounding = catheter.end_rounding_m.map_or(String::new(), |m| format!(", rounded over {:.2} mm", m * 1e3));
+        let end = if Some(index) == catheter.end { format!("; ends the tube{rounding}") } else { String::new() };
         writeln!(out, "  {:<10} {:.1} mm long, {place}, {colour}{coil}{end}", marker.name, marker.length_m * 1e3)?;
     }
     Ok(())

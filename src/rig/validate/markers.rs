@@ -152,6 +152,19 @@ impl Check<'_> {
             let expected = format!("the last marker along the tube, {:?}", last.name);
             return Err(self.value("catheter.end", format_args!("{:?}", raw.end.as_deref().unwrap_or("")), expected));
         }
+        if let Some(rounding) = raw.end_rounding_mm {
+            self.positive("catheter.end_rounding_mm", rounding)?;
+            let Some(last) = end.and_then(|end| markers.get(end)) else {
+                let expected = "`end`, the marker that ends the tube, with it";
+                return Err(self.value("catheter.end_rounding_mm", rounding, expected));
+            };
+            let most_mm = (last.length_m * 1e3).min(raw.diameter_mm);
+            if rounding > most_mm {
+                let expected =
+                    format!("at most {}: no longer than the last band, nor than wide", written_mm(most_mm / 1e3));
+                return Err(self.value("catheter.end_rounding_mm", rounding, expected));
+            }
+        }
         if let Some(rigid) = raw.rigid_mm {
             self.positive("catheter.rigid_mm", rigid)?;
             let most_mm = longest_stiff_m(markers, coil) * 1e3;
@@ -166,7 +179,13 @@ impl Check<'_> {
                 return Err(self.value("catheter.rigid_mm", rigid, expected));
             }
         }
-        Ok(Catheter { diameter_m: raw.diameter_mm / 1e3, coil, end, rigid_m: raw.rigid_mm.map(|v| v / 1e3) })
+        Ok(Catheter {
+            diameter_m: raw.diameter_mm / 1e3,
+            coil,
+            end,
+            end_rounding_m: raw.end_rounding_mm.map(|v| v / 1e3),
+            rigid_m: raw.rigid_mm.map(|v| v / 1e3),
+        })
     }
 }
 

@@ -371,7 +371,6 @@ impl Patch {
             for Strip { span, points } in &layer.strips {
                 let Span { knot, ring } = self.spans[*span];
                 let (a, b) = (&image.knots[knot], &image.knots[knot + 1]);
-                let is_end = layout.ends && ring + 1 == layout.rings_m.len();
                 for i in points.clone() {
                     let (f, outside) = (f64::from(layer.f[i]), f64::from(layer.outside[i]));
                     let held = f.clamp(0.0, 1.0);
@@ -381,9 +380,14 @@ impl Patch {
                         along_m * between(a.scale, b.scale)
                     };
                     let inside = || (0.5 - between(a.half_width, b.half_width)).max(-1.0);
-                    let class = if outside > 1.5 || (is_end && from_ring() > 2.0) {
+                    let is_beyond = || {
+                        let rounding_px = layout.rounding_m * between(a.scale, b.scale);
+                        layout.is_end(ring) && from_ring() > 2.0 + rounding_px
+                    };
+                    let is_round = || layout.is_rounded(ring) && from_ring() > 0.0;
+                    let class = if outside > 1.5 || is_beyond() {
                         segments
-                    } else if outside < inside() && from_ring().abs() > 1.5 {
+                    } else if outside < inside() && from_ring().abs() > 1.5 && !is_round() {
                         ring + usize::from(from_ring() > 0.0)
                     } else {
                         continue;

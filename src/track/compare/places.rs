@@ -197,7 +197,10 @@ impl<'a> Spans<'a> {
             ends.resize((last_span - first_span + 1) * SIGHTS, 0);
             found.list.clear();
             let (a, b) = (&self.image.knots[knot], &self.image.knots[knot + 1]);
-            let around_ring_px = INSIDE_PX + a.bulge.abs().max(b.bulge.abs());
+            let around_ring_px = |ring: usize| {
+                let bulge = |knot: &Knot| self.layout.bulge_px(ring, knot.bulge, knot.scale).abs();
+                INSIDE_PX + bulge(a).max(bulge(b))
+            };
             for (at, (f, outside)) in found.at.iter().zip(found.f.iter().zip(&found.outside)) {
                 if !(*f >= ends_at[0] && *f <= ends_at[1] && f64::from(*outside) <= field.margin_px) {
                     continue;
@@ -209,8 +212,9 @@ impl<'a> Spans<'a> {
                     span = (span + ring.saturating_sub(self.list[span].ring)).min(*last_span);
                 }
                 let place = Place { at: *at, span: span as u32, f: *f, outside: *outside };
-                let from_ring_px = (arc_m - self.layout.rings_m[self.list[span].ring]) * a.scale;
-                if f64::from(*outside) < -INSIDE_PX && from_ring_px.abs() > around_ring_px {
+                let ring = self.list[span].ring;
+                let from_ring_px = (arc_m - self.layout.rings_m[ring]) * a.scale;
+                if f64::from(*outside) < -INSIDE_PX && from_ring_px.abs() > around_ring_px(ring) {
                     let [x, y] = field.pixel(&place);
                     if Density::Fifth.phase(x, y) != 0 {
                         continue;
@@ -408,7 +412,7 @@ mod tests {
     /// A tube 24 px wide: all pixels beside its outline and around its ring, every fifth of the others.
     #[test]
     fn inside_a_wide_tube_every_fifth_pixel_is_used() {
-        let layout = Layout { rings_m: vec![0.0], ends: false };
+        let layout = Layout { rings_m: vec![0.0], ends: false, rounding_m: 0.0 };
         let shape = TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.1, 1.0, 0.05), 6e-3);
         let image = TubeImage::of(&shape, 6e-3, &views()[0], (-30e-3, 30e-3), 3e-3, None, None).unwrap();
         let range = (1.0, image.knots.len() as f64 - 2.0);
@@ -435,7 +439,7 @@ mod tests {
 
     #[test]
     fn each_pixel_within_the_margin_is_found_once_and_at_its_nearest_point() {
-        let layout = Layout { rings_m: vec![-6e-3, 6e-3, 19e-3], ends: true };
+        let layout = Layout { rings_m: vec![-6e-3, 6e-3, 19e-3], ends: true, rounding_m: 0.0 };
         let directions = [(0.1, 1.0, 0.05), (1.0, 0.02, 0.1), (-0.7, -0.6, 0.3), (0.0, 1.0, 0.0)];
         let mut compared = 0;
         for (path, (x, y, z)) in views().iter().flat_map(|path| directions.map(|way| (path, way))) {

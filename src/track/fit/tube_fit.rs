@@ -270,7 +270,7 @@ mod tests {
 
     fn stretch() -> Stretch {
         Stretch {
-            layout: Layout { rings_m: vec![-6e-3, 6e-3, 19e-3, 25e-3], ends: true },
+            layout: Layout { rings_m: vec![-6e-3, 6e-3, 19e-3, 25e-3], ends: true, rounding_m: 0.0 },
             range_m: (-14e-3, 27.5e-3),
             radius_m: 1.6e-3,
             at_clamp: false,
@@ -322,6 +322,33 @@ mod tests {
             let turn = found.shape.tangent().angle(&tube.direction).to_degrees();
             assert!(turn < 0.05, "{direction:?}: {turn}°");
         }
+    }
+
+    /// Half a sphere, one that is flatter, and a pointed one. An end that is taken to be straight is found too short.
+    #[test]
+    fn a_tube_with_a_rounded_end_is_found_as_one_with_a_straight_end() {
+        let mut turned: f64 = 0.0;
+        for (rounding_m, direction) in [
+            (1.6e-3, Vector3::new(0.1, 1.0, 0.05)),
+            (0.8e-3, Vector3::new(-0.5, 0.8, 0.4)),
+            (2.5e-3, Vector3::new(0.3, 0.9, -0.5)),
+        ] {
+            let tube = Tube { rounding_m, ..Tube::along(direction) };
+            let picture = tube.picture(Sensor::IDEAL, 1);
+            let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
+            let rounded = Layout { rings_m: vec![-6e-3, 6e-3, 19e-3, 25e-3 - rounding_m], ends: true, rounding_m };
+            let found = fit(&Stretch { layout: rounded, ..stretch() }, &start, &picture, None).unwrap();
+            for s in [0.0, 22e-3] {
+                let error = (found.shape.at(s).0 - (tube.centre + tube.direction * s)).norm();
+                assert!(error < 25e-6, "{rounding_m} m, {s} m: {} mm", error * 1e3);
+            }
+            let turn = |fit: &TubeFit| fit.shape.tangent().angle(&tube.direction).to_degrees();
+            assert!(turn(&found) < 0.05, "{rounding_m} m: {}°", turn(&found));
+            let straight = fit(&stretch(), &start, &picture, None).unwrap();
+            assert!(found.misfit < straight.misfit - 0.05, "{} against {}", found.misfit, straight.misfit);
+            turned = turned.max((straight.shape.at(22e-3).0 - (tube.centre + tube.direction * 22e-3)).norm());
+        }
+        assert!(turned > 100e-6, "taken to be straight, the tip is off by {turned} m");
     }
 
     /// What was interpolated moves the tube; what was seen does not, and its noise is known.

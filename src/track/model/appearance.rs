@@ -13,7 +13,9 @@
 //!
 //! Along the tube, colours change at rings. The near side of a ring lies `bulge·√(1−x²)` further along the axis than
 //! its centre, so edges are curved; each edge is blurred by the same σ. The tube's end shows its cap when it points at
-//! the camera. The background has a linear gradient.
+//! the camera. An end rounded over h, as half an ellipsoid, begins at the last ring: its outline is half an ellipse that
+//! bulges by √(bulge² + (h·scale)²), for a half sphere half a circle, and it has no cap. The background has a linear
+//! gradient.
 //!
 //! Cannot represent: specular highlights that move along the tube, shadow edges across a band, objects in front.
 
@@ -26,6 +28,8 @@ pub(in crate::track) struct Layout {
     pub rings_m: Vec<f64>,
     /// Whether the last ring is the end of the tube.
     pub ends: bool,
+    /// Length over which the tube's end is rounded beyond that ring, metres; 0 where it is cut straight.
+    pub rounding_m: f64,
 }
 
 impl Layout {
@@ -42,6 +46,22 @@ impl Layout {
     /// Number of colour parameters of a view.
     pub(in crate::track) fn colours(&self) -> usize {
         FIXED + PER_SEGMENT * self.segments()
+    }
+
+    /// Whether a ring is the end of the tube.
+    pub(in crate::track) fn is_end(&self, ring: usize) -> bool {
+        self.ends && ring + 1 == self.rings_m.len()
+    }
+
+    /// Whether the tube's end is rounded, and begins to be at this ring.
+    pub(in crate::track) fn is_rounded(&self, ring: usize) -> bool {
+        self.rounding_m > 0.0 && self.is_end(ring)
+    }
+
+    /// Bulge of a ring in the picture, pixels, where those across the tube have `plain_px`, and a metre along it has
+    /// `scale` pixels.
+    pub(in crate::track) fn bulge_px(&self, ring: usize, plain_px: f64, scale: f64) -> f64 {
+        if self.is_rounded(ring) { plain_px.hypot(self.rounding_m * scale) } else { plain_px }
     }
 
     /// The ring nearest to `s_m`.

@@ -89,7 +89,7 @@ fn gap(rig: &Rig, from: usize, to: usize) -> Option<Gap> {
 fn group(rig: &Rig, members: Vec<(usize, f64)>, reference: usize) -> Group {
     let diameter = rig.catheter.diameter_m;
     let half = |marker: usize| rig.markers[marker].length_m / 2.0;
-    let rings_m: Vec<f64> = members.iter().flat_map(|&(m, s)| [s - half(m), s + half(m)]).collect();
+    let mut rings_m: Vec<f64> = members.iter().flat_map(|&(m, s)| [s - half(m), s + half(m)]).collect();
     let (first, last) = (members[0].0, members[members.len() - 1].0);
     // Beside the outermost bands, up to the next band's edge.
     let beside = |band: usize, neighbour: Option<usize>| match neighbour.filter(|n| *n < rig.markers.len()) {
@@ -108,6 +108,9 @@ fn group(rig: &Rig, members: Vec<(usize, f64)>, reference: usize) -> Group {
         beside(last, Some(last + 1))
     };
     let range_m = (rings_m[0] - beside(first, first.checked_sub(1)), rings_m[rings_m.len() - 1] + below);
+    // The end of a rounded tube begins where it begins to be round.
+    let rounding_m = rig.catheter.end_rounding_m.filter(|_| ends).unwrap_or(0.0);
+    rings_m.iter_mut().last().into_iter().for_each(|end| *end -= rounding_m);
     let straight_half_m = if reference == rig.catheter.coil {
         half(reference).max(rig.catheter.rigid_m.unwrap_or(0.0) / 2.0)
     } else {
@@ -117,7 +120,12 @@ fn group(rig: &Rig, members: Vec<(usize, f64)>, reference: usize) -> Group {
         members,
         reference,
         straight_half_m,
-        stretch: Stretch { layout: Layout { rings_m, ends }, range_m, radius_m: diameter / 2.0, at_clamp: first == 0 },
+        stretch: Stretch {
+            layout: Layout { rings_m, ends, rounding_m },
+            range_m,
+            radius_m: diameter / 2.0,
+            at_clamp: first == 0,
+        },
     }
 }
 

@@ -166,7 +166,7 @@ fn catheter(args: &MarkersArgs, draft: &Draft, names: &[&str]) -> Result<Cathete
     };
     stiff_enough_to_bend(args, &[], coil)?;
     let rigid_m = args.rigid.map(|rigid| rigid.0).or(old.and_then(|old| old.rigid_m));
-    Ok(Catheter { diameter_m: args.tube.0, coil, end, rigid_m })
+    Ok(Catheter { diameter_m: args.tube.0, coil, end, end_rounding_m: None, rigid_m })
 }
 
 /// Checks that the stiff part leaves some of the tube to bend.

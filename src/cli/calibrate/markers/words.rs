@@ -30,6 +30,13 @@ pub(super) fn describe(done: &Teaching) -> String {
              transfer function that the recording declares"
         );
     }
+    if let Some(rounding_m) = done.rig.catheter.end_rounding_m {
+        let _ = writeln!(
+            text,
+            "the tube's end is rounded, over {:.2} mm: that explains the pictures better than an end cut straight",
+            rounding_m * 1e3
+        );
+    }
     let _ = match camera.exposure_s {
         Some(exposure_s) => writeln!(text, "exposure {:.1} ms: motion blur is modelled", exposure_s * 1e3),
         None => writeln!(
@@ -83,7 +90,8 @@ pub(super) fn warnings(done: &Teaching) -> Vec<String> {
         .map(|measure| {
             let last = done.rig.catheter.end.and_then(|end| done.rig.markers.get(end));
             let at_end = measure.band.is_some() && measure.band.as_ref() == last.map(|marker| &marker.name);
-            let rounded = if at_end && measure.seen_m < measure.given_m {
+            let is_straight = done.rig.catheter.end_rounding_m.is_none();
+            let rounded = if at_end && is_straight && measure.seen_m < measure.given_m {
                 ", and the tube's end: a rounded one looks shorter than it is, which shifts θ and the band's middle; \
                  give the length that it seems to have"
             } else {
