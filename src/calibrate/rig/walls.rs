@@ -14,6 +14,8 @@ const HOLD_SD: (f64, f64) = (0.05, 3e-3);
 /// Manufacturing tolerances of a glass box: squareness, radians, and size, metres.
 const SQUARE_SD_RAD: f64 = 3e-3;
 const SIZE_SD_M: f64 = 1e-3;
+/// How often a mirror beside the tank and the wall before it are placed, each by the other.
+const PASSES: usize = 3;
 /// Refractive index of water at 589 nm from 0 to 50 °C in steps of 10 °C (CRC Handbook of Chemistry and Physics).
 const WATER: [f64; 6] = [1.33395, 1.33369, 1.33299, 1.33192, 1.33051, 1.32894];
 
@@ -34,6 +36,7 @@ pub(super) fn first_geometry(
     let mut views = vec![("direct".to_owned(), Vec::new())];
     let seen: Vec<_> = start.pictures.iter().map(|p| &p.views).collect();
     let mut poses: Vec<Isometry3<f64>> = seen.iter().filter_map(|views| Some(views.first()?.as_ref()?.pose)).collect();
+    let mut front_wall = None;
     if let Some(tank) = &options.tank {
         let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len().max(1) as f64;
         let normal = -middle.normalize();
@@ -42,40 +45,46 @@ pub(super) fn first_geometry(
         let front = tank.wall(Plane::new(normal, offset_m)?);
         for pose in &mut poses {
             let middle = Point3::from(pose.translation.vector);
-            *pose = Translation3::from(front.lengthened(&middle) - middle) * *pose;
+            *pose = Translation3::from(front.lengthened(&middle, &Point3::origin()) - middle) * *pose;
         }
         surfaces.push(("front_wall".to_owned(), Surface::Wall(front)));
+        front_wall = Some(front);
         views[0].1.push(0);
     }
     for (index, (normal, offset_m)) in start.mirrors.iter().enumerate() {
         let mirror = surfaces.len();
         let mut plane = Plane::new(*normal, *offset_m)?;
-        if options.tank.is_some_and(|tank| tank.mirrors_inside)
-            && let Some((_, Surface::Wall(front))) = surfaces.first()
-        {
-            plane = plane_in_water(start, index + 1, front)?;
-        }
-        surfaces.push((numbered("mirror", index, count), Surface::Mirror(Mirror { plane })));
-        let path = match &options.tank {
-            None => vec![mirror],
-            Some(tank) if tank.mirrors_inside => vec![0, mirror],
-            Some(tank) => {
-                let front = surfaces[0].1.plane().normal();
-                let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len() as f64;
-                // Towards the boards, from the mirror image of the camera.
-                let camera = plane.reflect(&Point3::origin());
-                let inward = (Point3::from(middle) - camera).normalize();
-                if -inward.dot(&front) > std::f64::consts::FRAC_1_SQRT_2 {
-                    vec![mirror, 0]
-                } else {
-                    let normal = -(inward - front * front.dot(&inward)).normalize();
-                    let offset_m = outermost(start, &poses, &normal) + margin_m;
-                    surfaces.push((
-                        numbered("side_wall", index, count),
-                        Surface::Wall(tank.wall(Plane::new(normal, offset_m)?)),
-                    ));
-                    vec![mirror, mirror + 1]
+        let name = |of: &str| numbered(of, index, count);
+        let path = match (&options.tank, &front_wall) {
+            (Some(tank), Some(front)) if tank.mirrors_inside => {
+                let shown = |apparent: &Point3<f64>| front.lengthened(apparent, &Point3::origin());
+                plane = plane_between(start, index + 1, front, shown)?;
+                surfaces.push((name("mirror"), Surface::Mirror(Mirror { plane })));
+                vec![0, mirror]
+            }
+            (Some(tank), Some(front)) => {
+                let mut side = side_wall(start, &poses, &plane, tank, front, margin_m)?;
+                for _ in 0..PASSES {
+                    let (wall, camera) = (side.as_ref().unwrap_or(front), plane.reflect(&Point3::origin()));
+                    let reflected = plane;
+                    let shown = |apparent: &Point3<f64>| {
+                        reflected.reflect(&wall.lengthened(&reflected.reflect(apparent), &camera))
+                    };
+                    plane = plane_between(start, index + 1, front, shown)?;
+                    side = side_wall(start, &poses, &plane, tank, front, margin_m)?;
                 }
+                surfaces.push((name("mirror"), Surface::Mirror(Mirror { plane })));
+                match side {
+                    None => vec![mirror, 0],
+                    Some(side) => {
+                        surfaces.push((name("side_wall"), Surface::Wall(side)));
+                        vec![mirror, mirror + 1]
+                    }
+                }
+            }
+            _ => {
+                surfaces.push((name("mirror"), Surface::Mirror(Mirror { plane })));
+                vec![mirror]
             }
         };
         views.push((numbered("mirror", index, count), path));
@@ -83,13 +92,50 @@ pub(super) fn first_geometry(
     Ok((Geometry { lens: *lens, surfaces, views }, poses))
 }
 
-/// The plane halfway between a board and its reflection behind a wall, after correcting for refraction.
-fn plane_in_water(start: &Initial, view: usize, front: &Wall) -> Result<Plane, PlaneError> {
+/// The wall at the side through which a mirror beside the tank shows the boards; `None` where it shows them through the
+/// front wall. It stands between the boards and what the mirror's rays meet of the mirror.
+fn side_wall(
+    start: &Initial,
+    poses: &[Isometry3<f64>],
+    plane: &Plane,
+    tank: &Tank,
+    front: &Wall,
+    margin_m: f64,
+) -> Result<Option<Wall>, PlaneError> {
+    let front = front.outer.normal();
+    let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len() as f64;
+    // Towards the boards, from the mirror image of the camera.
+    let camera = plane.reflect(&Point3::origin());
+    let inward = (Point3::from(middle) - camera).normalize();
+    if -inward.dot(&front) > std::f64::consts::FRAC_1_SQRT_2 {
+        return Ok(None);
+    }
+    let normal = -(inward - front * front.dot(&inward)).normalize();
+    let boards_m = outermost(start, poses, &normal);
+    let met_m = corners(start, poses).filter_map(|corner| {
+        let (from_camera, from_corner) = (plane.signed_distance(&camera), plane.signed_distance(&corner));
+        let met = camera + (corner - camera) * (from_camera / (from_camera - from_corner));
+        (from_camera * from_corner < 0.0).then(|| met.coords.dot(&normal))
+    });
+    let room_m = met_m.fold(f64::INFINITY, f64::min) - boards_m;
+    let offset_m = boards_m + if room_m > 0.0 { margin_m.min(room_m / 2.0) } else { margin_m };
+    Ok(Some(tank.wall(Plane::new(normal, offset_m)?)))
+}
+
+/// The plane halfway between the boards behind the front wall and their reflections, whose places are `shown` by where
+/// they appear.
+fn plane_between(
+    start: &Initial,
+    view: usize,
+    front: &Wall,
+    shown: impl Fn(&Point3<f64>) -> Point3<f64>,
+) -> Result<Plane, PlaneError> {
     let (mut across, mut middles) = (Vector3::zeros(), Vec::new());
     for sorted in &start.pictures {
         let (Some(Some(direct)), Some(Some(image))) = (sorted.views.first(), sorted.views.get(view)) else { continue };
         for (place, _) in &direct.corners {
-            let (here, there) = (front.lengthened(&(direct.pose * place)), front.lengthened(&(image.pose * place)));
+            let here = front.lengthened(&(direct.pose * place), &Point3::origin());
+            let there = shown(&(image.pose * place));
             across += here - there;
             middles.push((here.coords + there.coords) / 2.0);
         }
@@ -100,20 +146,24 @@ fn plane_in_water(start: &Initial, view: usize, front: &Wall) -> Result<Plane, P
 }
 
 impl Wall {
-    /// Approximate true position of a point that appears at `apparent` through this wall: things behind it appear
-    /// nearer, by the index.
-    fn lengthened(&self, apparent: &Point3<f64>) -> Point3<f64> {
+    /// Approximate true position of a point that appears at `apparent` through this wall, seen from `eye`: things behind
+    /// it appear nearer, by the index.
+    fn lengthened(&self, apparent: &Point3<f64>, eye: &Point3<f64>) -> Point3<f64> {
         let behind = (-self.outer.signed_distance(apparent)).max(0.0);
-        apparent + apparent.coords.normalize() * (behind * (self.index_inside - 1.0))
+        apparent + (apparent - eye).normalize() * (behind * (self.index_inside - 1.0))
     }
 }
 
 /// Extent of the corners of all boards along a direction.
 fn outermost(start: &Initial, poses: &[Isometry3<f64>], direction: &Vector3<f64>) -> f64 {
-    let corners = start.pictures.iter().zip(poses).flat_map(|(sorted, pose)| {
-        sorted.views.iter().flatten().flat_map(|image| &image.corners).map(move |(place, _)| (pose * place).coords)
-    });
-    corners.map(|corner| corner.dot(direction)).fold(f64::NEG_INFINITY, f64::max)
+    corners(start, poses).map(|corner| corner.coords.dot(direction)).fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// The corners of all boards, in every view that shows them.
+fn corners(start: &Initial, poses: &[Isometry3<f64>]) -> impl Iterator<Item = Point3<f64>> {
+    start.pictures.iter().zip(poses).flat_map(|(sorted, pose)| {
+        sorted.views.iter().flatten().flat_map(|image| &image.corners).map(move |(place, _)| pose * place)
+    })
 }
 
 impl Tank {

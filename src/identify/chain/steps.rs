@@ -1,10 +1,12 @@
 //! From signals to models: the whole chain, with its steps in order.
 
 use crate::identify::IdentifyError;
+use crate::identify::chain::between_samples;
 use crate::identify::chain::bootstrap::{middle_95, repeat};
 use crate::identify::chain::identification::{Differs, Fit, Identification};
 use crate::identify::chain::settings::{Choice, Estimator, Settings};
 use crate::identify::chain::warnings::diagnostics;
+use crate::identify::checks::diagnostic::Diagnostic;
 use crate::identify::checks::follows_input::{self, Left};
 use crate::identify::checks::model_error::ModelError;
 use crate::identify::checks::other_orders::{self, compared};
@@ -46,6 +48,24 @@ pub(crate) fn identify_with_progress(
     settings: &Settings,
     progress: &dyn Fn(&str),
 ) -> Result<Identification, IdentifyError> {
+    if !between_samples::are_in(data) {
+        return identify_held(data, settings, progress);
+    }
+    progress("identifying with inputs as if held between samples");
+    let first = identify_held(data, &Settings { bootstrap: 0, repeats: None, ..settings.clone() }, &|_| {})?;
+    let refined = first.models.iter().find(|model| model.role == Role::Refined);
+    match refined.and_then(|model| model.continuous.as_ref()) {
+        Some(found) => identify_held(&between_samples::taken_off(data, &found.model), settings, progress),
+        None => {
+            let mut done = identify_held(data, settings, progress)?;
+            done.diagnostics.push(Diagnostic::BetweenSamples);
+            Ok(done)
+        }
+    }
+}
+
+/// Identifies with inputs that are held between samples.
+fn identify_held(data: &Data, settings: &Settings, progress: &dyn Fn(&str)) -> Result<Identification, IdentifyError> {
     let mut records = data.training.clone();
     if settings.initial_state == InitialState::Estimated {
         // Also for fitting, not only for comparing simulations, the initial state is unknown.

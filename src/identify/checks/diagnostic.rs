@@ -34,6 +34,8 @@ pub enum Diagnostic {
         /// Modulus of its largest pole.
         largest_pole: f64,
     },
+    /// The input changes between samples, and there is no H(s) that tells what that does to the output.
+    BetweenSamples,
     /// A model explains little of the data it was fitted to.
     Poor {
         /// The model.
@@ -407,6 +409,10 @@ impl fmt::Display for Diagnostic {
                      hardly known"
                 )
             }
+            Self::BetweenSamples => f.write_str(
+                "the commands change between frames: a model of samples takes their means as held, and its gain is too large, \
+                 the more the faster they change; without a refined model that is not corrected",
+            ),
             Self::StrangeRecord { title, record, error_percent } => write!(
                 f,
                 "{record}: {title} simulates it worse than zero would ({} of the energy left), but not the data it was \

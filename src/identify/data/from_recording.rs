@@ -6,12 +6,15 @@
 use crate::identify::data::grid::{Grid, GridError, Series};
 use crate::identify::data::hold::Held;
 use crate::identify::data::plant::Plant;
+use crate::identify::data::segments::PARTS;
 use crate::plural::plural;
 use crate::series::{Current, Frame, Recording};
 
 /// Interval, in periods, beyond which frames were lost.
 const GAP_PERIODS: f64 = 1.5;
 const S_PER_NS: f64 = 1e-9;
+/// Changes between frames below this part of the largest command are those of rounding.
+const ROUNDING: f64 = 1e-9;
 /// A last command that is longer than this before the first frame has another clock, seconds.
 const LONGEST_BEFORE_S: f64 = 60.0;
 
@@ -176,6 +179,26 @@ impl Observed {
             });
         }
         Ok(series)
+    }
+
+    /// Adds to a series of these commands how they change between its samples, if they do.
+    pub(crate) fn add_within(&self, series: &mut Series, commands: &Held, delay_s: f64) {
+        let beyond = |(from, to): (f64, f64)| {
+            let part_s = (to - from) / PARTS as f64;
+            let mean = commands.mean(from - delay_s, to - delay_s).unwrap_or_default();
+            std::array::from_fn(|i| {
+                let begin = from - delay_s + i as f64 * part_s;
+                commands.mean(begin, begin + part_s).map_or(0.0, |part| part - mean)
+            })
+        };
+        let times = series.time_s.iter().copied();
+        series.within = times.clone().zip(times.skip(1)).map(beyond).collect();
+        // What the last sample's input does is not seen any more.
+        series.within.resize(series.time_s.len(), [0.0; PARTS]);
+        let largest = series.within.iter().flatten().fold(0.0, |largest: f64, beyond| largest.max(beyond.abs()));
+        if largest <= ROUNDING * commands.largest().unwrap_or_default() {
+            series.within.clear();
+        }
     }
 
     /// The frames from `from_s` on.

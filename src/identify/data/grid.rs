@@ -5,7 +5,7 @@
 //! its real time ([`hold`](super::hold)). Uneven times are refused, or resampled on request.
 
 use crate::identify::data::plant::Plant;
-use crate::identify::data::segments::{Record, Segment};
+use crate::identify::data::segments::{PARTS, Record, Segment};
 use crate::median::upper_median;
 use crate::plural::plural;
 
@@ -44,6 +44,8 @@ pub(crate) struct Series {
     pub time_s: Vec<f64>,
     /// The drive from each time to the next: the input, or with `plant` the coil current, amperes.
     pub drive: Vec<Option<f64>>,
+    /// By how much the drive is above that in each part of this time; empty where it is not known to change there.
+    pub within: Vec<[f64; PARTS]>,
     /// Output at each time.
     pub output: Vec<Option<f64>>,
     /// Computes the input from current and output, by Eq. 6.
@@ -271,9 +273,11 @@ pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridErro
 pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
     let length = grid.places.last().map_or(0, |last| last + 1);
     let (mut output, mut drive) = (vec![None; length], vec![None; length]);
+    let mut within = vec![[0.0; PARTS]; if series.within.is_empty() { 0 } else { length }];
     for (k, place) in grid.places.iter().enumerate() {
         output[*place] = series.output[k];
         drive[*place] = series.drive[k];
+        within.iter_mut().nth(*place).into_iter().zip(series.within.get(k)).for_each(|(to, from)| *to = *from);
     }
     let first_s = series.time_s.first().copied().unwrap_or(0.0);
     let mut angle = output.clone();
@@ -282,6 +286,14 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
     let input_at = |place: usize| match series.plant {
         None => drive[place],
         Some(plant) => Some(plant.torque_nm(drive[place]?, halfway_at(place)?)),
+    };
+    // What the input is beyond its mean: linear in the drive.
+    let within_at = |place: usize, beyond: &[f64; PARTS]| match series.plant {
+        None => Some(*beyond),
+        Some(plant) => {
+            let (drive, angle) = (drive[place]?, halfway_at(place)?);
+            Some(beyond.map(|beyond| plant.torque_nm(drive + beyond, angle) - plant.torque_nm(drive, angle)))
+        }
     };
     let by_zero_at = |place: usize| match series.plant {
         None => Some(0.0),
@@ -296,6 +308,10 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
             first: from,
             start_s: first_s + from as f64 * grid.period_s,
             input: input[from..to].iter().flatten().copied().collect(),
+            within: within.get(from..to).map(|within| {
+                let of = |(k, beyond): (usize, &[f64; PARTS])| within_at(from + k, beyond).unwrap_or([0.0; PARTS]);
+                within.iter().enumerate().map(of).collect()
+            }),
             output: output[from..to].iter().map(|y| y.unwrap_or(f64::NAN)).collect(),
             instrument: series.plant.map(|_| drive[from..to].iter().flatten().copied().collect()),
             by_zero: series.fit_zero.then(|| (from..to).filter_map(by_zero_at).collect()),
@@ -403,6 +419,7 @@ pub(crate) fn resample(series: &Series, period_s: Option<f64>) -> Result<Series,
         name: series.name.clone(),
         output: time_s.iter().map(output).collect(),
         drive: time_s.iter().map(drive).collect(),
+        within: Vec::new(),
         plant: series.plant,
         fit_zero: series.fit_zero,
         time_s,

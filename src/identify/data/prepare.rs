@@ -122,6 +122,7 @@ pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record 
             zero_drifts: segment.zero_drifts,
             record: segment.record,
             input,
+            within: None,
             from_rest: false,
         }
     };

@@ -3,6 +3,9 @@
 //! A segment ends where the input is unknown. An output that was not observed is NaN: whatever needs it is left out,
 //! but simulations run through it.
 
+/// Parts of the time of a sample in which its input may differ.
+pub(crate) const PARTS: usize = 8;
+
 /// A segment of evenly sampled input without holes, and its output.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Segment {
@@ -12,6 +15,9 @@ pub struct Segment {
     pub start_s: f64,
     /// Input; sample k acts from the time of sample k to that of sample k+1.
     pub input: Vec<f64>,
+    /// By how much the input is above that in each part of this time, as long as the input, if it changes between samples:
+    /// see `between_samples`.
+    pub within: Option<Vec<[f64; PARTS]>>,
     /// Output, as long as the input; NaN where it was not observed.
     pub output: Vec<f64>,
     /// A signal that drives the input and is independent of the output's noise (the coil current), as long as the
@@ -52,6 +58,7 @@ impl Segment {
             first: self.first + from,
             start_s: self.start_s + from as f64 * period_s,
             input: self.input[from..to].to_vec(),
+            within: self.within.as_ref().map(|w| w[from..to].to_vec()),
             output: self.output[from..to].to_vec(),
             instrument: self.instrument.as_ref().map(|i| i[from..to].to_vec()),
             by_zero: self.by_zero.as_ref().map(|z| z[from..to].to_vec()),
