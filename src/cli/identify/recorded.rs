@@ -10,7 +10,7 @@ use crate::identify::data::grid::{Grid, GridError, Series, cut};
 use crate::identify::data::hold::Held;
 use crate::identify::data::plant::Plant;
 use crate::identify::data::prepare::{Detrend, Trend};
-use crate::identify::estimate::clock_delay::{self, Delay, Drift, Timing};
+use crate::identify::estimate::clock_delay::{self, Delay, Drift, Inputs, Timing};
 use crate::identify::estimate::unknown_zero::Zero;
 use crate::identify::results::provenance::RecordSummary;
 use crate::series::Recording;
@@ -204,10 +204,13 @@ fn apparent_delay(
     let known_s = held.zero_before().span_s()?.0 + given_s + (clock_delay::MAX_DELAY + 2.0) * period_s;
     let cut_off = known_s > *observed.time_s.first()?;
     let observed = if cut_off { observed.from(known_s) } else { observed.clone() };
-    let found = clock_delay::estimate(period_s, own_clock, |Timing { delay_s, drift }| {
+    let found = clock_delay::estimate(period_s, own_clock, |Timing { delay_s, drift }, inputs| {
         let held = held.drifted(drift, own_clock.unwrap_or_default()).zero_before();
         let series = observed.series(&held, plant, given_s + delay_s).ok()?;
-        let series = Series { fit_zero: args.fits_zero(), ..series };
+        let mut series = Series { fit_zero: args.fits_zero(), ..series };
+        if inputs == Inputs::Changing {
+            observed.add_within(&mut series, &held, given_s + delay_s);
+        }
         let grid = Grid::of(&series.name, &series.time_s).ok()?;
         let (record, _) = cut(&series, &grid, args.bridge);
         let mut segments = record.segments;

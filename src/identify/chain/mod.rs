@@ -1,7 +1,6 @@
 //! From prepared records to an identification: the settings, the steps in their order, the result, its scatter and its
 //! warnings.
 
-mod between_samples;
 mod bootstrap;
 pub(crate) mod identification;
 pub(crate) mod settings;

@@ -1,7 +1,6 @@
 //! From signals to models: the whole chain, with its steps in order.
 
 use crate::identify::IdentifyError;
-use crate::identify::chain::between_samples;
 use crate::identify::chain::bootstrap::{middle_95, repeat};
 use crate::identify::chain::identification::{Differs, Fit, Identification};
 use crate::identify::chain::settings::{Choice, Estimator, Settings};
@@ -14,6 +13,7 @@ use crate::identify::checks::residuals::Residuals;
 use crate::identify::checks::wrong_values::{leaves_sigma, wrong_values};
 use crate::identify::data::segments::{Data, Record, Segment};
 use crate::identify::data::spectrum::spectrum;
+use crate::identify::estimate::between_samples::{self, Answer};
 use crate::identify::estimate::estimated::{Estimated, Refined};
 use crate::identify::estimate::initial_models::initial_models;
 use crate::identify::estimate::search::{Candidate, Criterion, best, search};
@@ -30,6 +30,9 @@ use std::f64::consts::TAU;
 /// Difference of the reduced model from the refined one, in σ, from which its σ is not given. Where σ is right, fewer
 /// than one in twenty lie beyond.
 const DIFFERS_SD: f64 = 2.0;
+
+/// Models by which what inputs do between samples is taken off the outputs, each found without what the one before told.
+const PASSES: usize = 2;
 
 /// Identifies.
 ///
@@ -48,20 +51,24 @@ pub(crate) fn identify_with_progress(
     settings: &Settings,
     progress: &dyn Fn(&str),
 ) -> Result<Identification, IdentifyError> {
-    if !between_samples::are_in(data) {
+    let records = data.training.iter().chain(&data.validation);
+    if !between_samples::is_in(records.flat_map(|record| &record.segments)) {
         return identify_held(data, settings, progress);
     }
-    progress("identifying with inputs as if held between samples");
-    let first = identify_held(data, &Settings { bootstrap: 0, repeats: None, ..settings.clone() }, &|_| {})?;
-    let refined = first.models.iter().find(|model| model.role == Role::Refined);
-    match refined.and_then(|model| model.continuous.as_ref()) {
-        Some(found) => identify_held(&between_samples::taken_off(data, &found.model), settings, progress),
-        None => {
+    progress("identifying as if commands came with the samples");
+    let first = Settings { bootstrap: 0, repeats: None, ..settings.clone() };
+    let mut held = data.clone();
+    for _ in 0..PASSES {
+        let found = identify_held(&held, &first, &|_| {})?;
+        let refined = found.models.iter().find(|model| model.role == Role::Refined);
+        let Some(found) = refined.and_then(|model| model.continuous.as_ref()) else {
             let mut done = identify_held(data, settings, progress)?;
             done.diagnostics.push(Diagnostic::BetweenSamples);
-            Ok(done)
-        }
+            return Ok(done);
+        };
+        held = Answer::of(&found.model, data.period_s).taken_off_all(data);
     }
+    identify_held(&held, settings, progress)
 }
 
 /// Identifies with inputs that are held between samples.

@@ -19,11 +19,13 @@
 use crate::digits::fixed;
 use crate::identify::data::segments::Segment;
 use crate::identify::estimate::arx;
+use crate::identify::estimate::between_samples::{self, Answer};
 use crate::identify::estimate::noise_colour::Colour;
 use crate::identify::estimate::output_error::{
     self, Derivatives, derivatives_and_residual, fitted_besides, linearised, squares, triangle,
 };
 use crate::identify::estimate::unknown_zero::{self, Zero};
+use crate::identify::model::continuous::Continuous;
 use crate::identify::model::covariance::Covariance;
 use crate::identify::model::polynomials::{Orders, Polynomials};
 use crate::identify::solve::descent::{Descent, Lowest};
@@ -57,6 +59,8 @@ const CONTINUED_SEARCHES: usize = 3;
 const AS_WELL: f64 = 1.25;
 /// Delays closer than this are one, in periods.
 const SAME: f64 = 0.1;
+/// Models by which what commands do between samples is taken off the output, one after the other.
+const PASSES: usize = 2;
 /// Parts of a record that are left out in turn.
 const BLOCKS: usize = 10;
 /// Systematic error of the method, in periods. Simulated over all phases between amplifier and camera: 0.2 % to 0.6 %
@@ -120,6 +124,15 @@ pub(crate) struct Timing {
     pub drift: f64,
 }
 
+/// How inputs are given: held at their means from sample to sample, or with what they do in between.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Inputs {
+    /// At their means.
+    Held,
+    /// With [`Segment::within`], if they change.
+    Changing,
+}
+
 /// Current timing and model of a search.
 #[derive(Debug, Clone)]
 struct State {
@@ -146,9 +159,10 @@ impl State {
 pub(crate) fn estimate(
     period_s: f64,
     own_clock: Option<f64>,
-    segments: impl Fn(Timing) -> Option<Vec<Segment>> + Sync,
+    segments: impl Fn(Timing, Inputs) -> Option<Vec<Segment>> + Sync,
 ) -> Option<Delay> {
-    let search = Search { period_s, own_clock, segments: &segments };
+    let held = |timing| segments(timing, Inputs::Held);
+    let search = Search { period_s, own_clock, segments: &held };
     // 1. from many delays and models
     let steps = (MAX_DELAY / START_SPACING) as i32;
     let delays: Vec<f64> = (-steps..=steps).map(|k| f64::from(k) * START_SPACING * period_s).collect();
@@ -156,7 +170,7 @@ pub(crate) fn estimate(
         .par_iter()
         .flat_map(|delay_s| {
             let timing = Timing { delay_s: *delay_s, drift: 0.0 };
-            let models = initial(&segments(timing).unwrap_or_default());
+            let models = initial(&held(timing).unwrap_or_default());
             let search = &search;
             models.into_par_iter().filter_map(move |model| search.run(State { timing, model }, FIRST_STEPS))
         })
@@ -188,12 +202,27 @@ pub(crate) fn estimate(
     }
     let nearest =
         (0..as_well.len()).min_by(|a, b| delay_of(&as_well[*a]).abs().total_cmp(&delay_of(&as_well[*b]).abs()))?;
-    let Lowest { at: best, cost, .. } = as_well.remove(nearest);
+    let mut best = as_well.remove(nearest);
     let others_s: Vec<f64> = as_well.iter().map(delay_of).collect();
+    // 3. the same with what the commands do between samples, by the models found
+    let changes = between_samples::is_in(&segments(best.at.timing, Inputs::Changing)?);
+    let mut answer = None;
+    for _ in 0..if changes { PASSES } else { 0 } {
+        let own = Answer::of(&Continuous::of(&best.at.model, period_s)?, period_s);
+        let without = |timing| without(&segments, timing, &own);
+        best = Search { period_s, own_clock, segments: &without }.run(best.at, FINAL_STEPS)?;
+        answer = Some(own);
+    }
+    let Lowest { at: best, cost, .. } = best;
     let taken_s = best.timing.delay_s;
     let (first_s, last_s) = others_s.iter().fold((taken_s, taken_s), |(f, l), other| (f.min(*other), l.max(*other)));
-    // 3. uncertainty
-    let Uncertainty { of_delay_s, of_drift, zero, samples } = search.uncertainty(&best)?;
+    // 4. uncertainty
+    let without = |timing| match &answer {
+        Some(answer) => without(&segments, timing, answer),
+        None => held(timing),
+    };
+    let found = Search { period_s, own_clock, segments: &without }.uncertainty(&best)?;
+    let Uncertainty { of_delay_s, of_drift, zero, samples } = found;
     let sd_s = of_delay_s.hypot(METHOD_ERROR * period_s);
     if sd_s > MAX_DELAY * period_s {
         return None;
@@ -204,6 +233,15 @@ pub(crate) fn estimate(
     let residual_rms = (cost / samples as f64).sqrt();
     let sd_s = sd_s.hypot(0.5 * (last_s - first_s));
     Some(Delay { delay_s: taken_s, sd_s, others_s, drift, zero, residual_rms })
+}
+
+/// The data for a timing, without how a model answers to what the commands do between samples.
+fn without(
+    segments: &impl Fn(Timing, Inputs) -> Option<Vec<Segment>>,
+    timing: Timing,
+    answer: &Answer,
+) -> Option<Vec<Segment>> {
+    Some(segments(timing, Inputs::Changing)?.iter().map(|segment| answer.taken_off(segment)).collect())
 }
 
 /// Initial models: ARX of second order, and ARX of first order with a second, nearly cancelled state.
@@ -370,7 +408,7 @@ mod tests {
         let noisy = noise(seed, SAMPLES);
         let clean = plant.simulate(&drive(&held, Timing { delay_s, drift }));
         let output: Vec<f64> = clean.iter().zip(noisy).map(|(y, e)| y + zero + 0.002 * e).collect();
-        estimate(PERIOD_S, (drift != 0.0).then_some(middle_s), |timing| {
+        estimate(PERIOD_S, (drift != 0.0).then_some(middle_s), |timing, _| {
             let by_zero = Some(vec![0.0; SAMPLES]);
             Some(vec![Segment { input: drive(&told, timing), output: output.clone(), by_zero, ..Segment::default() }])
         })
@@ -409,7 +447,7 @@ mod tests {
         let drive = |delay_s: f64| -> Vec<f64> {
             (0..300).map(|k| 1e-12 * (TAU * 3.0 * (f64::from(k) * PERIOD_S - delay_s)).sin()).collect()
         };
-        let found = estimate(PERIOD_S, None, |timing| {
+        let found = estimate(PERIOD_S, None, |timing, _| {
             Some(vec![Segment { input: drive(timing.delay_s), output: output.clone(), ..Segment::default() }])
         });
         assert_eq!(found, None);
@@ -462,7 +500,7 @@ mod tests {
                 speed += step_s * (108.0 * current - 3.6 * speed - 36.0 * angle);
                 angle += step_s * speed;
             }
-            let found = estimate(period_s, None, |timing| {
+            let found = estimate(period_s, None, |timing, _| {
                 let at = |k: usize| camera_s + k as f64 * period_s - timing.delay_s;
                 let input: Option<Vec<f64>> = (0..2300).map(|k| held.mean(at(k), at(k + 1))).collect();
                 Some(vec![Segment { input: input?, output: output.clone(), ..Segment::default() }])

@@ -1,7 +1,8 @@
 //! Estimators of a model from samples, the search for its orders and delay, and what noise does to σ. Also the unknown
-//! zero of the angle, and the delay between the clocks.
+//! zero of the angle, and the delay between the clocks, and what inputs do between samples.
 
 pub(super) mod arx;
+pub(super) mod between_samples;
 pub(crate) mod clock_delay;
 pub(super) mod estimated;
 pub(super) mod initial_models;

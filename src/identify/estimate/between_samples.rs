@@ -1,0 +1,106 @@
+//! Inputs that change between samples, as when commands come faster than frames, or not in step with them.
+//!
+//! A model of samples takes its input to be held at its mean from each sample to the next. To a motion within this time
+//! the output answers a little differently: means of a sine are smaller than it is by sinc(f T), and so H(s) would be
+//! too large, the more the longer the frames. How an H(s) answers to what the input is beyond its mean is computed, in
+//! parts of this time, and taken off the output: then the input is as good as held.
+
+use crate::identify::data::segments::{Data, PARTS, Record, Segment};
+use crate::identify::model::continuous::Continuous;
+use crate::identify::model::polynomials::Polynomials;
+
+/// Whether the input of some segment is known to change between samples.
+pub(in crate::identify) fn is_in<'a>(segments: impl IntoIterator<Item = &'a Segment>) -> bool {
+    segments.into_iter().any(|segment| segment.within.is_some())
+}
+
+/// How an H(s) answers to what inputs do within samples.
+pub(in crate::identify) struct Answer {
+    /// The model of each part.
+    of_parts: Polynomials,
+}
+
+impl Answer {
+    /// For samples that come every `period_s`.
+    pub(in crate::identify) fn of(model: &Continuous, period_s: f64) -> Self {
+        Self { of_parts: model.sampled(period_s / PARTS as f64) }
+    }
+
+    /// A segment without it.
+    pub(in crate::identify) fn taken_off(&self, segment: &Segment) -> Segment {
+        let mut segment = segment.clone();
+        if let Some(within) = &segment.within {
+            let input: Vec<f64> = within.iter().flatten().copied().collect();
+            let answers = self.of_parts.simulate(&input);
+            segment.output.iter_mut().zip(answers.iter().step_by(PARTS)).for_each(|(output, answer)| *output -= answer);
+        }
+        segment
+    }
+
+    /// Data without it.
+    pub(in crate::identify) fn taken_off_all(&self, data: &Data) -> Data {
+        let of_record = |record: &Record| Record {
+            name: record.name.clone(),
+            segments: record.segments.iter().map(|segment| self.taken_off(segment)).collect(),
+        };
+        let of = |records: &[Record]| records.iter().map(of_record).collect();
+        Data { period_s: data.period_s, training: of(&data.training), validation: of(&data.validation) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identify::chain::settings::{Choice, Settings};
+    use crate::identify::chain::steps::identify;
+    use crate::identify::model::continuous::Conversion;
+    use crate::identify::model::modelled::Role;
+    use crate::identify::model::polynomials::Orders;
+    use crate::identify::tests::{noise, settings};
+    use std::f64::consts::TAU;
+
+    /// Commands that are held for 37/120 of the time between frames, 20 of which come in a second.
+    #[test]
+    fn commands_between_frames_do_not_raise_the_gain() {
+        const FINE: usize = 120;
+        const FRAMES: usize = 1600;
+        let period_s = 0.05;
+        let truth = Continuous {
+            num: vec![60.0, 300.0],
+            den: vec![1.0, 9.0, 120.0],
+            delay_s: 0.0,
+            conversion: Conversion::Hold,
+        };
+        let wave = |t: f64| (1..=24).map(|k| (TAU * 0.15 * f64::from(k) * t + f64::from(k * k)).cos()).sum::<f64>();
+        let command = |i: usize| wave((i / 37 * 37) as f64 * period_s / FINE as f64);
+        let commands: Vec<f64> = (0..FRAMES * FINE).map(command).collect();
+        let output = truth.sampled(period_s / FINE as f64).simulate(&commands);
+        let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+        let input: Vec<f64> = commands.chunks(FINE).map(mean).collect();
+        let within = commands.chunks(FINE).zip(&input).map(|(part, input)| {
+            std::array::from_fn(|i| mean(&part[i * FINE / PARTS..(i + 1) * FINE / PARTS]) - input)
+        });
+        let segment = Segment {
+            output: output.iter().step_by(FINE).zip(noise(3, FRAMES)).map(|(y, e)| y + 0.01 * e).collect(),
+            within: Some(within.collect()),
+            input,
+            from_rest: true,
+            ..Segment::default()
+        };
+        let found = |segment: &Segment| {
+            let record = Record { name: "r".to_owned(), segments: vec![segment.clone()] };
+            let data = Data { period_s, training: vec![record], validation: Vec::new() };
+            let done = identify(
+                &data,
+                &Settings { commanded: true, ..settings(Choice::Fixed(Orders { na: 2, nb: 2, nk: 1 })) },
+            );
+            let refined = done.unwrap().models.into_iter().find(|model| model.role == Role::Refined).unwrap();
+            let found = refined.continuous.unwrap().model;
+            [0.5, 2.0, 3.5].map(|f| found.response(f).norm() / truth.response(f).norm() - 1.0)
+        };
+        let known = found(&segment);
+        assert!(known.iter().all(|off| off.abs() < 2e-3), "{known:?}");
+        let unknown = found(&Segment { within: None, ..segment });
+        assert!(unknown[2] > 0.02, "{unknown:?}");
+    }
+}
