@@ -92,6 +92,7 @@ fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
         let held = held.collect::<Result<Vec<_>, _>>().map_err(Failure::usage)?;
         let end_s = observed.time_s.last().copied().unwrap_or_default();
         currents::warn_of_values(&source, &held, end_s, false);
+        currents::warn_of_changes(&source, &held, &observed, delay_s);
         if let Some(one) = held.first() {
             currents::warn_of_slow_log(&source, one, motion.period_s);
         }
