@@ -354,8 +354,8 @@ impl Solution {
     pub(crate) fn of_pictures(&self, pictures: &[usize], corners: &[Corner]) -> Bundle {
         let now = |old: usize| pictures.iter().position(|picture| *picture == old);
         let known = self.known.iter().filter_map(|known| match *known {
-            Prior::Taped { picture, surface, sd_m, half_m } => {
-                Some(Prior::Taped { picture: now(picture)?, surface, sd_m, half_m })
+            Prior::Taped { picture, surface, thickness_m, sd_m, half_m } => {
+                Some(Prior::Taped { picture: now(picture)?, surface, thickness_m, sd_m, half_m })
             }
             _ => Some(known.clone()),
         });

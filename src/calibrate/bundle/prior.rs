@@ -53,7 +53,9 @@ pub enum Prior {
         picture: usize,
         /// Index of the surface.
         surface: usize,
-        /// σ of the board's distance from the wall's plane, at points half the board's size from its centre.
+        /// Distance of the print from the wall's plane.
+        thickness_m: f64,
+        /// Its σ, at points half the board's size from its centre.
         sd_m: f64,
         /// Half the board's size, where `sd_m` applies.
         half_m: f64,
@@ -91,10 +93,11 @@ impl Prior {
                 vec![(plane(*a).offset_m() + plane(*b).offset_m() - distance_m) / sd_m]
             }
             Self::IndexInside { index, sd } => vec![(geometry.value(Parameter::IndexInside) - index) / sd],
-            Self::Taped { picture, surface, sd_m, half_m } => {
+            Self::Taped { picture, surface, thickness_m, sd_m, half_m } => {
                 let (pose, plane) = (&poses[*picture], plane(*surface));
                 let points = [Vector3::zeros(), Vector3::x() * *half_m, Vector3::y() * *half_m];
-                points.map(|p| plane.signed_distance(&(pose * nalgebra::Point3::from(p))) / sd_m).to_vec()
+                let off_m = |p| plane.signed_distance(&(pose * nalgebra::Point3::from(p))) - thickness_m;
+                points.map(|p| off_m(p) / sd_m).to_vec()
             }
         }
     }

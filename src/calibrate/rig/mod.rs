@@ -31,7 +31,7 @@ pub use error::RigCalibrationError;
 pub use expected_error::{Verdict, verdict};
 pub use held_out::held_out;
 pub use initial::BoardsPicture;
-pub use options::{RigOptions, Tank};
+pub use options::{RigOptions, Tank, TapedBoard};
 pub use points::{Points, PointsError};
 pub use walls::water_index;
 
@@ -310,9 +310,9 @@ fn best(
         let (names, corners) = (names.to_vec(), seen.clone());
         let shape = target.shape;
         let mut bundle = Bundle { geometry, free: free.clone(), poses, names, corners, known, shape };
-        for (wall, picture) in &options.taped {
+        for taped in &options.taped {
             if let Some(board) = target.board {
-                Taped::new(board, lens, &bundle.geometry, wall, picture)?.add(&mut bundle);
+                Taped::new(board, lens, &bundle.geometry, taped)?.add(&mut bundle);
             }
         }
         let (corners, known) = (bundle.corners.clone(), bundle.known.clone());

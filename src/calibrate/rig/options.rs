@@ -18,6 +18,17 @@ pub struct Tank {
     pub mirrors_inside: bool,
 }
 
+/// A board taped flat to the outer face of a wall.
+#[derive(Debug, Clone)]
+pub struct TapedBoard {
+    /// The wall's name.
+    pub wall: String,
+    /// Its picture.
+    pub picture: BoardPicture,
+    /// Distance of its print from the wall, metres: the thickness of what it is glued to.
+    pub thickness_m: f64,
+}
+
 /// How to calibrate.
 #[derive(Debug, Clone, Default)]
 pub struct RigOptions {
@@ -30,8 +41,8 @@ pub struct RigOptions {
     pub lens_covariance: Option<DMatrix<f64>>,
     /// Measured distances of surfaces from the camera: name, distance, standard deviation, metres.
     pub distances_m: Vec<(String, f64, f64)>,
-    /// Pictures of the board taped flat to the outer face of a wall: the wall's name, the board's image.
-    pub taped: Vec<(String, BoardPicture)>,
+    /// Boards taped to walls.
+    pub taped: Vec<TapedBoard>,
     /// Standard deviation of the index inside, to fit it; `None` fixes it.
     pub index_sd: Option<f64>,
 }

@@ -2,7 +2,8 @@
 
 use super::error::{RigCalibrationError, surface};
 use super::initial::ordered;
-use crate::calibrate::board::{Board, BoardPicture};
+use super::options::TapedBoard;
+use crate::calibrate::board::Board;
 use crate::calibrate::bundle::pose::{TargetShape, seen_pose};
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{Bundle, Corner};
@@ -11,7 +12,7 @@ use crate::optics::{Lens, Plane, Surface};
 use nalgebra::{Isometry3, Point2, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use std::f64::consts::PI;
 
-/// σ of a taped board's distance from its wall, metres.
+/// σ of a taped board's distance from its wall, metres, beside its thickness.
 const TAPED_SD_M: f64 = 2e-4;
 
 /// A board taped to a wall, as an additional picture.
@@ -22,6 +23,7 @@ pub(crate) struct Taped {
     pose: Isometry3<f64>,
     corners: Vec<(Point3<f64>, Point2<f64>)>,
     half_m: f64,
+    thickness_m: f64,
 }
 
 impl Taped {
@@ -30,8 +32,7 @@ impl Taped {
         board: &Board,
         lens: &Lens,
         geometry: &Geometry,
-        wall: &str,
-        picture: &BoardPicture,
+        TapedBoard { wall, picture, thickness_m }: &TapedBoard,
     ) -> Result<Self, RigCalibrationError> {
         let surface = surface(geometry, wall)?;
         let path: Vec<usize> = geometry
@@ -68,7 +69,7 @@ impl Taped {
             seen = Isometry3::from_parts(Translation3::from(middle.coords), over * seen.rotation * half_turn);
         }
         let half_m = places.iter().map(|p| p.coords.norm()).fold(0.0, f64::max);
-        Ok(Self { name: picture.name.clone(), surface, path, pose: seen, corners, half_m })
+        Ok(Self { name: picture.name.clone(), surface, path, pose: seen, corners, half_m, thickness_m: *thickness_m })
     }
 
     pub(crate) fn add(self, to: &mut Bundle) {
@@ -83,7 +84,7 @@ impl Taped {
             pixel,
             relative_sd: 1.0,
         }));
-        let Self { surface, half_m, .. } = self;
-        to.known.push(Prior::Taped { picture, surface, sd_m: TAPED_SD_M, half_m });
+        let Self { surface, half_m, thickness_m, .. } = self;
+        to.known.push(Prior::Taped { picture, surface, thickness_m, sd_m: TAPED_SD_M, half_m });
     }
 }

@@ -10,7 +10,7 @@ use crate::calibrate::geometry::{Geometry, Projector};
 use crate::calibrate::rig::expected_error::verdict;
 use crate::calibrate::rig::held_out::held_out;
 use crate::calibrate::rig::initial::BoardsPicture;
-use crate::calibrate::rig::{RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig};
+use crate::calibrate::rig::{RigCalibration, RigCalibrationError, RigOptions, Tank, TapedBoard, calibrate_rig};
 use crate::optics::{Lens, Mirror, Plane, Surface, Wall};
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
@@ -289,12 +289,12 @@ fn a_board_taped_to_a_wall_pins_it() {
     let mut random = gaussian(77);
     let pictures = pictures(&rig, 10, 0.05, &mut random);
     let (lens, covariance) = calibrated_lens(&mut random);
-    let taped = |wall: usize, path: Vec<usize>, turned: f64, random: &mut dyn FnMut() -> f64| {
+    let taped = |wall: usize, path: Vec<usize>, (turned, thickness_m): (f64, f64), random: &mut dyn FnMut() -> f64| {
         let Surface::Wall(Wall { outer, .. }) = rig.geometry.surfaces[wall].1 else { panic!("no wall") };
-        // Its back lies on the wall: z of the board points into it.
+        // What it is glued to lies on the wall: z of the board points into it.
         let about = UnitQuaternion::rotation_between(&Vector3::z(), &-outer.normal()).unwrap();
         let near = Point3::from(rig.middle);
-        let middle = near - outer.normal() * outer.signed_distance(&near);
+        let middle = near - outer.normal() * (outer.signed_distance(&near) - thickness_m);
         let turn = about * UnitQuaternion::from_scaled_axis(Vector3::z() * turned);
         let pose = Isometry3::from_parts(Translation3::from(middle.coords), turn);
         let mirrored = path.len() == 1;
@@ -308,12 +308,10 @@ fn a_board_taped_to_a_wall_pins_it() {
         };
         let corners = (0..places.len()).map(&mut corner).collect();
         let image = BoardImage { corners, mirrored: None, square_px: 20.0, edge_px: 2.0, contrast: 100.0 };
-        BoardPicture { name: "taped.png".into(), size_px: SIZE_PX, image }
+        let picture = BoardPicture { name: "taped.png".into(), size_px: SIZE_PX, image };
+        TapedBoard { wall: rig.geometry.surfaces[wall].0.clone(), picture, thickness_m }
     };
-    let taped = vec![
-        ("front_wall".to_owned(), taped(0, vec![], 0.2, &mut random)),
-        ("side_wall".to_owned(), taped(2, vec![1], -0.3, &mut random)),
-    ];
+    let taped = vec![taped(0, vec![], (0.2, 3e-3), &mut random), taped(2, vec![1], (-0.3, 0.0), &mut random)];
     let options = RigOptions { lens_covariance: Some(covariance), taped, ..rig.options.clone() };
     let found = calibrate_rig(&board(), &lens, &pictures, &options).unwrap();
     assert_eq!(found.solution.geometry.views, rig.geometry.views);
@@ -334,7 +332,7 @@ fn a_board_taped_to_a_wall_pins_it() {
     // Boards that show whether they are mirrored must be seen the same way as their wall.
     for (taped, says) in [(0, "seen in a mirror, that wall directly"), (1, "seen directly, that wall in the mirror")] {
         let mut options = options.clone();
-        options.taped[taped].1.image.mirrored = Some(taped == 0);
+        options.taped[taped].picture.image.mirrored = Some(taped == 0);
         let error = calibrate_rig(&board(), &lens, &pictures, &options).unwrap_err().to_string();
         assert!(error.starts_with("taped.png: the board on") && error.contains(says), "{error}");
     }

@@ -277,7 +277,9 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
     for (k, place) in grid.places.iter().enumerate() {
         output[*place] = series.output[k];
         drive[*place] = series.drive[k];
-        within.iter_mut().nth(*place).into_iter().zip(series.within.get(k)).for_each(|(to, from)| *to = *from);
+        if let (Some(to), Some(from)) = (within.get_mut(*place), series.within.get(k)) {
+            *to = *from;
+        }
     }
     let first_s = series.time_s.first().copied().unwrap_or(0.0);
     let mut angle = output.clone();

@@ -141,7 +141,7 @@ pub(super) fn known(solution: &Solution) -> String {
                 Prior::IndexInside { index, sd } => {
                     (format!("{index:.4} ± {sd:.4}"), format!("{:.4}", geometry.value(Parameter::IndexInside)))
                 }
-                Prior::Taped { sd_m, .. } => (mm(0.0, *sd_m), "–".to_owned()),
+                Prior::Taped { thickness_m, sd_m, .. } => (mm(*thickness_m, *sd_m), "–".to_owned()),
             };
             let off = contradiction(solution, known).map_or(Html::from("–"), |off| {
                 let class = if off > CONTRADICTION_SD { " class=\"miss\"" } else { "" };

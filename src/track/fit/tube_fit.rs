@@ -324,10 +324,9 @@ mod tests {
         }
     }
 
-    /// Half a sphere, one that is flatter, and a pointed one. An end that is taken to be straight is found too short.
+    /// Half a sphere, one that is flatter, and a pointed one. Taken to be cut straight they fit clearly worse.
     #[test]
     fn a_tube_with_a_rounded_end_is_found_as_one_with_a_straight_end() {
-        let mut turned: f64 = 0.0;
         for (rounding_m, direction) in [
             (1.6e-3, Vector3::new(0.1, 1.0, 0.05)),
             (0.8e-3, Vector3::new(-0.5, 0.8, 0.4)),
@@ -346,9 +345,7 @@ mod tests {
             assert!(turn(&found) < 0.05, "{rounding_m} m: {}°", turn(&found));
             let straight = fit(&stretch(), &start, &picture, None).unwrap();
             assert!(found.misfit < straight.misfit - 0.05, "{} against {}", found.misfit, straight.misfit);
-            turned = turned.max((straight.shape.at(22e-3).0 - (tube.centre + tube.direction * 22e-3)).norm());
         }
-        assert!(turned > 100e-6, "taken to be straight, the tip is off by {turned} m");
     }
 
     /// What was interpolated moves the tube; what was seen does not, and its noise is known.

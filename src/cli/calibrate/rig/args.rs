@@ -51,9 +51,10 @@ pub(in super::super) struct RigArgs {
     /// Measured distance of a surface's plane from the lens, and its σ; may be repeated
     #[arg(long = "distance", value_name = "NAME=1265mm:2mm")]
     pub(super) distances: Vec<Distance>,
-    /// A picture of the board taped flat to the outer face of a wall; may be repeated
-    #[arg(long = "wall", value_name = "NAME=PICTURE", value_parser = wall_arg)]
-    pub(super) walls: Vec<(String, PathBuf)>,
+    /// A picture of the board taped flat to the outer face of a wall, and the thickness of what its print is glued to, if
+    /// that is no paper; may be repeated
+    #[arg(long = "wall", value_name = "NAME=PICTURE[:3mm]")]
+    pub(super) walls: Vec<TapedTo>,
     /// Rig file to write [default: the one given by --rig]
     #[arg(long, short, value_name = "RIG.toml")]
     out: Option<PathBuf>,
@@ -106,10 +107,26 @@ impl fmt::Display for Distance {
     }
 }
 
-fn wall_arg(text: &str) -> Result<(String, PathBuf), String> {
-    let wrong = || format!("`{text}` is not a wall: write NAME=PICTURE, for example front_wall=taped.png");
-    let (name, picture) = text.split_once('=').ok_or_else(wrong)?;
-    Ok((name.trim().to_owned(), picture.into()))
+/// A board taped to a wall.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct TapedTo {
+    pub(super) wall: String,
+    pub(super) picture: PathBuf,
+    pub(super) thickness_m: f64,
+}
+
+impl FromStr for TapedTo {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("`{text}` is not a wall: write NAME=PICTURE, for example front_wall=taped.png");
+        let (wall, rest) = text.split_once('=').ok_or_else(wrong)?;
+        // A name of a file may have a colon, too.
+        let with_thickness =
+            rest.rsplit_once(':').and_then(|(picture, thickness)| Some((picture, thickness.parse::<Length>().ok()?.0)));
+        let (picture, thickness_m) = with_thickness.unwrap_or((rest, 0.0));
+        Ok(Self { wall: wall.trim().to_owned(), picture: picture.into(), thickness_m })
+    }
 }
 
 impl RigArgs {

@@ -15,11 +15,12 @@ use crate::calibrate::rig::expected_error::{Verdict, verdict};
 use crate::calibrate::rig::held_out::held_out;
 use crate::calibrate::rig::initial::BoardsPicture;
 use crate::calibrate::rig::{
-    Points, RigCalibration, RigCalibrationError, RigOptions, calibrate_rig, calibrate_rig_from_points, into_draft,
+    Points, RigCalibration, RigCalibrationError, RigOptions, TapedBoard, calibrate_rig, calibrate_rig_from_points,
+    into_draft,
 };
 use crate::report::calibration::{self, CalibrationInfo};
 use crate::rig::{Draft, matrix_note};
-use args::{BoxSize, Distance};
+use args::{BoxSize, Distance, TapedTo};
 use nalgebra::Point3;
 use std::path::{Path, PathBuf};
 
@@ -138,13 +139,14 @@ fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) ->
     let Some(board) = args.board.clone() else {
         return Err(Failure::usage("give --board with the pictures, or --points in place of both"));
     };
-    for (name, path) in &args.walls {
-        for found in pictures::search(std::slice::from_ref(path), &board, 1, quiet)? {
+    for TapedTo { wall, picture, thickness_m } in &args.walls {
+        for found in pictures::search(std::slice::from_ref(picture), &board, 1, quiet)? {
             fits(&found, args, draft)?;
             let unseen = |why: &String| Failure::new(Exit::Unusable, format!("{}: {why}", found.path.display()));
             let image = found.images.as_ref().map_err(unseen)?.first().cloned();
             let picture = image.map(|image| BoardPicture { name: found.name.clone(), size_px: found.size_px, image });
-            options.taped.extend(picture.map(|picture| (name.clone(), picture)));
+            let taped = |picture| TapedBoard { wall: wall.clone(), picture, thickness_m: *thickness_m };
+            options.taped.extend(picture.map(taped));
         }
     }
     let searched = pictures::search(&args.pictures, &board, args.mirrors + 1, quiet)?;
