@@ -142,6 +142,7 @@ pub(crate) fn settings(choice: Choice) -> Settings {
         bootstrap: 0,
         repeats: None,
         commanded: false,
+        shifted: false,
     }
 }
 

@@ -41,9 +41,10 @@ pub(super) fn warn_of_another_time(file: &Path, period_s: f64) {
     }
 }
 
-/// Warns of outputs that are the one before to the last digit.
-pub(super) fn warn_of_repeated_rows(name: &str, output: &[Option<f64>]) {
-    if let Some((count, first)) = repeated_rows(output) {
+/// Warns of outputs that are the one before to the last digit; returns whether there are.
+pub(super) fn warn_of_repeated_rows(name: &str, output: &[Option<f64>]) -> bool {
+    let repeated = repeated_rows(output);
+    if let Some((count, first)) = repeated {
         tracing::warn!(
             "{name}: {count} outputs are the one before to the last digit, the first in row {}, more than rounding \
              explains: were rows written twice? Each shifts what comes after by a row; give --time COLUMN, or leave \
@@ -51,6 +52,7 @@ pub(super) fn warn_of_repeated_rows(name: &str, output: &[Option<f64>]) {
             first + 1
         );
     }
+    repeated.is_some()
 }
 
 /// How many values are the one before, and the place of the first, if that is more than rounding explains: then values
@@ -66,15 +68,18 @@ fn repeated_rows(values: &[Option<f64>]) -> Option<(usize, usize)> {
     (told && 4 * count < values.len()).then(|| same(1).next()).flatten().map(|first| (count, first))
 }
 
-/// Warns of rows that are missing in a table without times, as an input tells that changes every so many rows.
-pub(super) fn warn_of_lost_rows(name: &str, input: &[Option<f64>]) {
-    if let Some((rows, count, first)) = lost_rows(input) {
+/// Warns of rows that are missing in a table without times, as an input tells that changes every so many rows; returns
+/// whether there are.
+pub(super) fn warn_of_lost_rows(name: &str, input: &[Option<f64>]) -> bool {
+    let lost = lost_rows(input);
+    if let Some((rows, count, first)) = lost {
         tracing::warn!(
             "{name}: the input changes every {rows} rows, or every 2nd or 3rd time, but {count} times a row too soon, \
              the first in row {}: were rows lost? Each shifts what comes after by a row; give --time COLUMN",
             first + 1
         );
     }
+    lost.is_some()
 }
 
 /// For how many rows the input keeps its value, how often a row less, and the place of the first change after that.

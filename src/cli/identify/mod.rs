@@ -17,6 +17,7 @@ use super::{Exit, Failure, interrupt, output};
 use crate::cli::outcome::{self, Outcome};
 use crate::cli::progress::Stages;
 use crate::identify::IdentifyError;
+use crate::identify::chain::settings::Settings;
 use crate::identify::chain::steps::identify_with_progress;
 use crate::identify::data::segments::Data;
 use crate::identify::model::modelled::Role;
@@ -43,7 +44,8 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
         return apply::run(args, model, &data, &provenance, outcome);
     }
     let samples: usize = data.training.iter().map(crate::identify::data::segments::Record::observed).sum();
-    let settings = args.settings(samples, !data.validation.is_empty())?;
+    let shifted = provenance.records.iter().any(|record| record.training && record.shifted);
+    let settings = Settings { shifted, ..args.settings(samples, !data.validation.is_empty())? };
     // 2. models
     let done =
         identify_with_progress(&data, &settings, &|what| stages.begin(what)).map_err(|error| failure(&data, error))?;

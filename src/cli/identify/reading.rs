@@ -132,6 +132,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let names: Vec<&str> = [input.as_str(), output.as_str()].into_iter().chain(args.time.as_deref()).collect();
     let mut values = columns(file, &names)?.into_iter();
     let (drive, output) = (values.next().unwrap_or_default(), values.next().unwrap_or_default());
+    let mut shifted = false;
     let time_s = match (values.next(), args.period) {
         (Some(_), Some(_)) if !args.resample => {
             return Err(Failure::usage(
@@ -147,7 +148,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
         }
         (None, Some(period)) => {
             columns_in_doubt::warn_of_another_time(file, period);
-            columns_in_doubt::warn_of_lost_rows(&name, &drive);
+            shifted |= columns_in_doubt::warn_of_lost_rows(&name, &drive);
             (0..drive.len()).map(|k| k as f64 * period).collect()
         }
         (None, None) => {
@@ -161,7 +162,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
             "{name}: --input {input} and --output {output} have the same values in all rows: give two columns"
         )));
     }
-    columns_in_doubt::warn_of_repeated_rows(&name, &output);
+    shifted |= columns_in_doubt::warn_of_repeated_rows(&name, &output);
     let missed = output.iter().filter(|y| y.is_none()).count();
     let series = Series { name: name.clone(), time_s, drive, output, ..Series::default() };
     let (record, grid, bridged) = on_grid(args, &series)?;
@@ -173,6 +174,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
         jitter_s: grid.jitter_s,
         lost: grid.lost,
         missed,
+        shifted,
         bridged,
         ..RecordSummary::default()
     };

@@ -136,7 +136,7 @@ fn identify_held(data: &Data, settings: &Settings, progress: &dyn Fn(&str)) -> R
     }
     let Objections { model_error, left, higher_order, .. } = objections;
     let wrong_values = wrong_values(&records, &models, data.period_s);
-    let right_values = wrong_values.iter().all(leaves_sigma);
+    let right_values = !settings.shifted && wrong_values.iter().all(leaves_sigma);
     if !right_values {
         models.iter_mut().filter(|m| m.role == Role::Refined).for_each(Modelled::forget_sigma);
     }
@@ -186,7 +186,7 @@ fn identify_held(data: &Data, settings: &Settings, progress: &dyn Fn(&str)) -> R
         best_orders: best,
         unstable_in_band,
     };
-    done.diagnostics = diagnostics(data, &done, settings.commanded);
+    done.diagnostics = diagnostics(data, &done, settings);
     Ok(done)
 }
 

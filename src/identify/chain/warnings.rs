@@ -1,6 +1,7 @@
 //! Warnings to read before using the numbers.
 
 use crate::identify::chain::identification::{Differs, Fit, Identification};
+use crate::identify::chain::settings::Settings;
 use crate::identify::checks::diagnostic::{Diagnostic, WayBack};
 use crate::identify::checks::residuals::{Residuals, too_many};
 use crate::identify::checks::wrong_values::leaves_sigma;
@@ -44,8 +45,9 @@ pub(in crate::identify) fn other_unit(period_s: f64) -> Option<Diagnostic> {
     (!(FAST_S..=SLOW_S).contains(&period_s)).then_some(Diagnostic::OtherUnit { period_s })
 }
 
-/// All diagnostics about a result. `commanded`: the input was told to the system.
-pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -> Vec<Diagnostic> {
+/// All diagnostics about a result.
+pub(super) fn diagnostics(data: &Data, done: &Identification, settings: &Settings) -> Vec<Diagnostic> {
+    let Settings { commanded, shifted, .. } = *settings;
     let mut diagnostics: Vec<Diagnostic> = other_unit(data.period_s).into_iter().collect();
     for model in &done.models {
         let (title, largest_pole) = (model.title.clone(), model.largest_pole);
@@ -100,7 +102,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, commanded: bool) -
     let not_at_rest = not_at_rest(data, done);
     let follows = |told: &&Diagnostic| not_at_rest.is_some() && matches!(told, Diagnostic::Gains { .. });
     diagnostics.extend(done.wrong_values.iter().filter(|told| !follows(told)).cloned());
-    if done.wrong_values.iter().any(|told| !leaves_sigma(told)) {
+    if shifted || done.wrong_values.iter().any(|told| !leaves_sigma(told)) {
         let fitted = done.models.iter().filter(|model| matches!(model.role, Role::Refined | Role::Periodic));
         diagnostics.extend(fitted.map(|model| Diagnostic::OfWrongValues { title: model.title.clone() }));
     }
