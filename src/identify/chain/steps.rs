@@ -5,7 +5,7 @@ use crate::identify::chain::bootstrap::{middle_95, repeat};
 use crate::identify::chain::identification::{Differs, Fit, Identification};
 use crate::identify::chain::settings::{Choice, Estimator, Settings};
 use crate::identify::chain::warnings::diagnostics;
-use crate::identify::checks::diagnostic::Diagnostic;
+use crate::identify::checks::diagnostic::{Diagnostic, leaves_more_than_noise};
 use crate::identify::checks::follows_input::{self, Left};
 use crate::identify::checks::model_error::ModelError;
 use crate::identify::checks::other_orders::{self, compared};
@@ -160,6 +160,12 @@ fn identify_held(data: &Data, settings: &Settings, progress: &dyn Fn(&str)) -> R
     let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, how, settings, biased);
     progress("comparing the models with the records");
     let fits = fits(&data.training, &data.validation, &models, settings.initial_state);
+    let linear = spectrum.as_ref().map(|spectrum| spectrum.linear_part());
+    let is_no_noise = |model: &&mut Modelled| {
+        let own = |fit: &&Fit| fit.training && fit.role == model.role && matches!(fit.kind, Kind::Simulation(_));
+        fits.iter().find(own).is_some_and(|fit| leaves_more_than_noise(fit.error.error_percent, linear))
+    };
+    models.iter_mut().filter(is_no_noise).for_each(Modelled::forget_sigma);
     let mut done = Identification {
         candidates,
         criterion,

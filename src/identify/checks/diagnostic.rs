@@ -12,6 +12,8 @@ use std::fmt;
 
 /// Fraction of the output's energy that follows the input above which the input is the right one.
 const MIN_EXPLAINED: f64 = 0.5;
+/// So many times what does not follow the input is no noise.
+const MORE_THAN_NOISE: f64 = 2.0;
 /// Largest error that is told as a number, percent.
 const MOST_PERCENT: f64 = 1000.0;
 /// The same in σ.
@@ -356,6 +358,13 @@ fn left_over(error_percent: f64) -> String {
 }
 
 /// Whether a model that explains little is of too low an order, or of another input.
+/// Whether a simulation leaves so much of the output's energy, percent, that it is not noise that it leaves: more than half,
+/// and more than [`MORE_THAN_NOISE`] times what does not follow the input (`linear`: the fraction that does).
+pub(in crate::identify) fn leaves_more_than_noise(error_percent: f64, linear: Option<f64>) -> bool {
+    let left = error_percent / 100.0;
+    left > MIN_EXPLAINED && linear.is_some_and(|follows| left > MORE_THAN_NOISE * (1.0 - follows))
+}
+
 fn why_poor(linear: Option<f64>) -> String {
     match linear {
         Some(part) if part > MIN_EXPLAINED => {
@@ -421,10 +430,11 @@ impl fmt::Display for Diagnostic {
             ),
             Self::Poor { title, error_percent, linear, other } => write!(
                 f,
-                "{title}: {}its simulation leaves {} of the energy of the data it was fitted to: {}",
+                "{title}: {}its simulation leaves {} of the energy of the data it was fitted to: {}{}",
                 if *error_percent > 100.0 { "does not describe the data, " } else { "" },
                 left_over(*error_percent),
-                other.as_ref().map_or_else(|| why_poor(*linear), |other| format!("use {other}, which describes them"))
+                other.as_ref().map_or_else(|| why_poor(*linear), |other| format!("use {other}, which describes them")),
+                if leaves_more_than_noise(*error_percent, *linear) { "; it has no σ" } else { "" }
             ),
             Self::Together { coils, ratio } => write!(
                 f,
@@ -627,6 +637,15 @@ impl fmt::Display for Diagnostic {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_left_of_an_output_that_follows_its_input_is_no_noise() {
+        assert!(leaves_more_than_noise(87.0, Some(0.95)));
+        // Mostly noise; a good model; nothing known of the noise.
+        for (error_percent, follows) in [(87.0, Some(0.2)), (30.0, Some(1.0)), (87.0, None)] {
+            assert!(!leaves_more_than_noise(error_percent, follows), "{error_percent}, {follows:?}");
+        }
+    }
 
     #[test]
     fn a_model_that_describes_nothing_is_not_given_a_number() {
