@@ -52,6 +52,8 @@ const FIRST_ROUNDING: f64 = 0.7;
 const ROUNDING_STEP: f64 = 0.2;
 const ROUNDINGS: (f64, f64) = (0.05, 2.0);
 const MIN_ROUNDING: f64 = 0.15;
+/// Part of the last band that may be round.
+const MOST_OF_BAND: f64 = 0.7;
 /// Step of the search for a band's length, and its limits, as ratios to the given one.
 const LENGTH_STEP: f64 = 0.05;
 const LENGTHS: (f64, f64) = (0.74, 1.36);
@@ -263,7 +265,9 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
     });
     let (gamma, sd) = mean_with_sd(&gammas.collect::<Option<Vec<_>>>()?);
     tracing::debug!("gamma {gamma:.3} ± {sd:.3}");
-    is_clearly_better(rig, &with(gamma), frames, followers).then(|| (gamma * 1e3).round() / 1e3)
+    let mut declared = rig.clone();
+    declared.camera.gamma = None;
+    is_clearly_better(&declared, &with(gamma), frames, followers).then(|| (gamma * 1e3).round() / 1e3)
 }
 
 /// Whether another rig explains the pictures clearly better. (Each frame is compared: a few would tell too little of the
@@ -289,8 +293,11 @@ fn end_rounding_m(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f6
         changed
     };
     let radius_m = rig.catheter.diameter_m / 2.0;
-    let limits = (ROUNDINGS.0 * radius_m, end.length_m.min(ROUNDINGS.1 * radius_m));
+    let limits = (ROUNDINGS.0 * radius_m, (MOST_OF_BAND * end.length_m).min(ROUNDINGS.1 * radius_m));
     let [start, step] = [FIRST_ROUNDING, ROUNDING_STEP].map(|radii| radii * radius_m);
+    if start + step > limits.1 {
+        return None;
+    }
     let some = every(frames, TUNING_FRAMES);
     let (rounding_m, sd_m) = determined(&straight, &some, start, step, limits, with)?;
     tracing::debug!("the end is rounded over {:.3} ± {:.3} mm", rounding_m * 1e3, sd_m * 1e3);

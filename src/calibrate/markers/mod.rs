@@ -172,14 +172,17 @@ impl Teaching {
         self.learn_picked(clicks, frame, &pixels)?;
         let rig = &mut self.rig;
         self.views = learn_everywhere(rig, frames)?;
-        let given = rig.markers.clone();
+        let (given, stated_s) = (rig.markers.clone(), rig.camera.exposure_s);
         let mut centre_sd_m = place_bands(rig, frames)?;
         let mut blur_sd_px = tune(rig, frames, followers)?;
         // The last band's place was found as if the tube were cut straight.
-        if rig.catheter.end_rounding_m.is_some() && centre_sd_m.iter().any(Option::is_some) {
+        let rounding_m = rig.catheter.end_rounding_m;
+        if rounding_m.is_some() && centre_sd_m.iter().any(Option::is_some) {
+            rig.camera.exposure_s = stated_s;
             rig.markers.iter_mut().zip(&given).for_each(|(marker, given)| marker.centre_m = given.centre_m);
             centre_sd_m = place_bands(rig, frames)?;
             blur_sd_px = tune(rig, frames, followers)?;
+            rig.catheter.end_rounding_m = rig.catheter.end_rounding_m.or(rounding_m);
         }
         if let Ok(views) = learn_everywhere(rig, frames) {
             self.views = views;

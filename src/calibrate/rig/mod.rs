@@ -49,7 +49,7 @@ use nalgebra::{Point2, Vector2, Vector3};
 use regions::regions;
 use sufficient::{check_views, determined};
 use taped::Taped;
-use walls::{first_geometry, held, known};
+use walls::{Beside, first_geometry, held, known};
 
 /// Initial distances of walls in front of the nearest corner, metres.
 const MARGINS_M: [f64; 3] = [0.03, 0.08, 0.15];
@@ -302,9 +302,16 @@ fn best(
         })
         .collect();
     let margins: &[f64] = if options.tank.is_some() { &MARGINS_M } else { &[0.0] };
+    // Where a mirror beside the tank seems to be, and if no search from there ends, where water makes it seem so.
+    let beside = options.tank.is_some_and(|tank| !tank.mirrors_inside);
+    let ways: &[Beside] = if beside { &[Beside::AsSeen, Beside::BehindWater] } else { &[Beside::AsSeen] };
+    let starts = ways.iter().flat_map(|way| margins.iter().map(move |margin_m| (*way, *margin_m)));
     let mut best: Result<(Solution, Vec<Corner>), RigCalibrationError> = Err(NoSolution::NotConverged.into());
-    for margin_m in margins {
-        let (geometry, poses) = first_geometry(lens, start, options, *margin_m)?;
+    for (way, margin_m) in starts {
+        if way != Beside::AsSeen && best.is_ok() {
+            break;
+        }
+        let (geometry, poses) = first_geometry(lens, start, options, margin_m, way)?;
         let known = known(&geometry, options)?;
         let mut free: Vec<Parameter> = (0..geometry.surfaces.len()).flat_map(Parameter::of_surface).collect();
         let (names, corners) = (names.to_vec(), seen.clone());

@@ -24,12 +24,22 @@ pub(super) fn numbered(name: &str, index: usize, count: usize) -> String {
     if count == 1 { name.to_owned() } else { format!("{name}_{}", index + 1) }
 }
 
+/// Where a mirror beside the tank is at first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Beside {
+    /// Where it seems to be: water makes boards look nearer in it, and so the mirror.
+    AsSeen,
+    /// Where it is by what water does, approximately, with the side wall before it.
+    BehindWater,
+}
+
 /// Initial surfaces, views and poses; walls are `margin_m` in front of the nearest corner.
 pub(super) fn first_geometry(
     lens: &Lens,
     start: &Initial,
     options: &RigOptions,
     margin_m: f64,
+    way: Beside,
 ) -> Result<(Geometry, Vec<Isometry3<f64>>), RigCalibrationError> {
     let count = start.mirrors.len();
     let mut surfaces: Vec<(String, Surface)> = Vec::new();
@@ -63,15 +73,15 @@ pub(super) fn first_geometry(
                 vec![0, mirror]
             }
             (Some(tank), Some(front)) => {
-                let mut side = side_wall(start, &poses, &plane, tank, front, margin_m)?;
-                for _ in 0..PASSES {
+                let mut side = side_wall(start, &poses, &plane, (tank, front), margin_m, way)?;
+                for _ in 0..if way == Beside::AsSeen { 0 } else { PASSES } {
                     let (wall, camera) = (side.as_ref().unwrap_or(front), plane.reflect(&Point3::origin()));
                     let reflected = plane;
                     let shown = |apparent: &Point3<f64>| {
                         reflected.reflect(&wall.lengthened(&reflected.reflect(apparent), &camera))
                     };
                     plane = plane_between(start, index + 1, front, shown)?;
-                    side = side_wall(start, &poses, &plane, tank, front, margin_m)?;
+                    side = side_wall(start, &poses, &plane, (tank, front), margin_m, way)?;
                 }
                 surfaces.push((name("mirror"), Surface::Mirror(Mirror { plane })));
                 match side {
@@ -98,9 +108,9 @@ fn side_wall(
     start: &Initial,
     poses: &[Isometry3<f64>],
     plane: &Plane,
-    tank: &Tank,
-    front: &Wall,
+    (tank, front): (&Tank, &Wall),
     margin_m: f64,
+    way: Beside,
 ) -> Result<Option<Wall>, PlaneError> {
     let front = front.outer.normal();
     let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len() as f64;
@@ -118,7 +128,8 @@ fn side_wall(
         (from_camera * from_corner < 0.0).then(|| met.coords.dot(&normal))
     });
     let room_m = met_m.fold(f64::INFINITY, f64::min) - boards_m;
-    let offset_m = boards_m + if room_m > 0.0 { margin_m.min(room_m / 2.0) } else { margin_m };
+    let is_known = way == Beside::BehindWater && room_m > 0.0;
+    let offset_m = boards_m + if is_known { margin_m.min(room_m / 2.0) } else { margin_m };
     Ok(Some(tank.wall(Plane::new(normal, offset_m)?)))
 }
 

@@ -28,6 +28,7 @@ pub(super) fn run(
     let of_output = with_unit(&provenance.output, &provenance.output_unit);
     let done = apply(data, &saved, args.initial_state(), (&input, &of_output))
         .map_err(|why| Failure::new(Exit::Unusable, why))?;
+    let data = done.held.as_ref().unwrap_or(data);
     for note in &done.notes {
         tracing::warn!("{note}");
     }

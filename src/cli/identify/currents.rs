@@ -1,9 +1,7 @@
 //! Warnings about coil currents that are hardly those that the coils had.
 
 use crate::identify::data::from_recording::Observed;
-use crate::identify::data::grid::Series;
 use crate::identify::data::hold::{Held, LongHold};
-use crate::identify::data::segments::PARTS;
 
 /// Current beyond which a unit is more likely to be wrong than the current right.
 const MOST_AMPERES: f64 = 50.0;
@@ -42,21 +40,13 @@ pub(super) fn warn_of_slow_log(source: &str, held: &Held, period_s: f64) {
     }
 }
 
-/// Warns of currents that change so much between frames that a model of their means has too large a gain. A sine's mean
-/// is smaller by s = sinc(f T), and what it is beyond has the power 1 − s² of its own: over that of the means, s², it is
-/// what such a model takes too much of, 1/s² − 1.
+/// Warns of currents that change so much between frames that a model of their means has too large a gain.
 pub(super) fn warn_of_changes(source: &str, held: &[Held], observed: &Observed, delay_s: f64) {
-    let beyond = |held: &Held| -> Option<f64> {
+    let part = |held: &Held| {
         let mut series = observed.series(held, None, delay_s).ok()?;
-        observed.add_within(&mut series, held, delay_s);
-        let Series { drive, within, .. } = series;
-        let known: Vec<f64> = drive.into_iter().flatten().collect();
-        let mean = known.iter().sum::<f64>() / known.len() as f64;
-        let of_means = known.iter().map(|drive| (drive - mean).powi(2)).sum::<f64>();
-        let of_changes = within.iter().flatten().map(|beyond| beyond * beyond).sum::<f64>() / PARTS as f64;
-        Some(of_changes / of_means)
+        Some(observed.add_within(&mut series, held, delay_s))
     };
-    let largest = held.iter().filter_map(beyond).filter(|part| part.is_finite()).max_by(f64::total_cmp);
+    let largest = held.iter().filter_map(part).filter(|part| part.is_finite()).max_by(f64::total_cmp);
     if let Some(part) = largest.filter(|part| *part > TOO_LARGE) {
         tracing::warn!(
             "{source}: currents change between frames, whose mean is taken as held: gains are too large by about {:.1} \

@@ -49,6 +49,7 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
     // 2. models
     let done =
         identify_with_progress(&data, &settings, &|what| stages.begin(what)).map_err(|error| failure(&data, error))?;
+    let data = done.held.as_ref().unwrap_or(&data);
     stages.begin("writing the results");
     for diagnostic in done.diagnostics.iter().filter(|diagnostic| done.matters(diagnostic)) {
         tracing::warn!("{diagnostic}");
@@ -58,16 +59,16 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
         let _whole = interrupt::wait();
         let _held = results.take()?;
         let mut written =
-            export::write(&args.out, &data, &done, &provenance).map_err(|e| Failure::new(Exit::Failed, e))?;
+            export::write(&args.out, data, &done, &provenance).map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join(output::REPORT);
-        output::save(&page, &identification::page(&data, &done, &provenance))?;
+        output::save(&page, &identification::page(data, &done, &provenance))?;
         written.push(page);
         written
     };
     drop(stages);
     // 4. text
     report_files(outcome, &written)?;
-    outcome.print(&words::summary(&data, &done, &provenance, &written))?;
+    outcome.print(&words::summary(data, &done, &provenance, &written))?;
     if done.models.iter().any(|m| m.role == Role::Full && !m.is_stable()) {
         let text = "the model of full order is unstable: what was written describes it and is not to be relied on";
         return Err(Failure::new(Exit::Unusable, text));

@@ -162,7 +162,8 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
             "{name}: --input {input} and --output {output} have the same values in all rows: give two columns"
         )));
     }
-    shifted |= columns_in_doubt::warn_of_repeated_rows(&name, &output);
+    // With times of their own they shift nothing.
+    shifted |= columns_in_doubt::warn_of_repeated_rows(&name, &output) && args.time.is_none();
     let missed = output.iter().filter(|y| y.is_none()).count();
     let series = Series { name: name.clone(), time_s, drive, output, ..Series::default() };
     let (record, grid, bridged) = on_grid(args, &series)?;

@@ -48,7 +48,9 @@ pub(super) fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Op
     }
     let series = observed.series(&held, plant, delay_s).map_err(Failure::usage)?;
     let mut series = Series { fit_zero: args.fits_zero(), ..series };
-    observed.add_within(&mut series, &held, delay_s);
+    if !args.resample {
+        observed.add_within(&mut series, &held, delay_s);
+    }
     let lost = series.output.len() - observed.theta_rad.len();
     let missed = observed.theta_rad.iter().filter(|theta| theta.is_none()).count();
     let (record, grid, bridged) = on_grid(args, &series)?;

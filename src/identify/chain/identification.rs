@@ -4,6 +4,7 @@ use crate::identify::checks::diagnostic::Diagnostic;
 use crate::identify::checks::follows_input::Left;
 use crate::identify::checks::model_error::ModelError;
 use crate::identify::checks::residuals::Residuals;
+use crate::identify::data::segments::Data;
 use crate::identify::data::spectrum::Spectrum;
 use crate::identify::estimate::estimated::{Estimated, Refined};
 use crate::identify::estimate::search::{Candidate, Criterion};
@@ -36,9 +37,20 @@ pub struct Differs {
     pub sigmas: Option<f64>,
 }
 
+/// What the simulations of a model leave of the energy of the records that it was fitted to, percent: their mean.
+pub(in crate::identify) fn left_percent(fits: &[Fit], role: Role) -> Option<f64> {
+    // That with the requested initial state comes first.
+    let own = |fit: &&Fit| fit.training && fit.role == role && matches!(fit.kind, Kind::Simulation(_));
+    let kind = fits.iter().find(own)?.kind;
+    let all = || fits.iter().filter(own).filter(|fit| fit.kind == kind).map(|fit| fit.error.error_percent);
+    Some(all().sum::<f64>() / all().count() as f64)
+}
+
 /// All results.
 #[derive(Debug, Clone)]
 pub struct Identification {
+    /// What was fitted, if inputs changed between samples: the data without what that did to the outputs.
+    pub held: Option<Data>,
     /// The candidates, if orders were searched.
     pub candidates: Vec<Candidate>,
     /// The criterion of the choice, if orders were searched.

@@ -2,7 +2,7 @@
 
 use crate::identify::IdentifyError;
 use crate::identify::chain::bootstrap::{middle_95, repeat};
-use crate::identify::chain::identification::{Differs, Fit, Identification};
+use crate::identify::chain::identification::{Differs, Fit, Identification, left_percent};
 use crate::identify::chain::settings::{Choice, Estimator, Settings};
 use crate::identify::chain::warnings::diagnostics;
 use crate::identify::checks::diagnostic::{Diagnostic, leaves_more_than_noise};
@@ -12,7 +12,7 @@ use crate::identify::checks::other_orders::{self, compared};
 use crate::identify::checks::residuals::Residuals;
 use crate::identify::checks::wrong_values::{leaves_sigma, wrong_values};
 use crate::identify::data::segments::{Data, Record, Segment};
-use crate::identify::data::spectrum::spectrum;
+use crate::identify::data::spectrum::{Spectrum, spectrum};
 use crate::identify::estimate::between_samples::{self, Answer};
 use crate::identify::estimate::estimated::{Estimated, Refined};
 use crate::identify::estimate::initial_models::initial_models;
@@ -53,26 +53,52 @@ pub(crate) fn identify_with_progress(
 ) -> Result<Identification, IdentifyError> {
     let records = data.training.iter().chain(&data.validation);
     if !between_samples::is_in(records.flat_map(|record| &record.segments)) {
-        return identify_held(data, settings, progress);
+        return identify_held(data, &data.training, settings, progress);
     }
+    repeats(data, settings)?;
     progress("identifying as if commands came with the samples");
-    let first = Settings { bootstrap: 0, repeats: None, ..settings.clone() };
-    let mut held = data.clone();
-    for _ in 0..PASSES {
-        let found = identify_held(&held, &first, &|_| {})?;
-        let refined = found.models.iter().find(|model| model.role == Role::Refined);
-        let Some(found) = refined.and_then(|model| model.continuous.as_ref()) else {
-            let mut done = identify_held(data, settings, progress)?;
-            done.diagnostics.push(Diagnostic::BetweenSamples);
-            return Ok(done);
-        };
-        held = Answer::of(&found.model, data.period_s).taken_off_all(data);
+    let held = taken_off(data, &Settings { bootstrap: 0, repeats: None, ..settings.clone() })?;
+    if let Some(held) = held
+        && let Ok(done) = identify_held(&held, &data.training, settings, progress)
+    {
+        return Ok(Identification { held: Some(held), ..done });
     }
-    identify_held(&held, settings, progress)
+    let mut done = identify_held(data, &data.training, settings, progress)?;
+    done.diagnostics.push(Diagnostic::BetweenSamples);
+    Ok(done)
 }
 
-/// Identifies with inputs that are held between samples.
-fn identify_held(data: &Data, settings: &Settings, progress: &dyn Fn(&str)) -> Result<Identification, IdentifyError> {
+/// The data without what inputs do between samples, by the refined models of [`PASSES`] identifications; `None` where one
+/// of them has no H(s).
+///
+/// # Errors
+/// Those of the first.
+fn taken_off(data: &Data, settings: &Settings) -> Result<Option<Data>, IdentifyError> {
+    let mut found = identify_held(data, &data.training, settings, &|_| {})?;
+    let orders = Settings { choice: Choice::Fixed(found.orders), ..settings.clone() };
+    let mut held = None;
+    for pass in 1..=PASSES {
+        let refined = found.models.iter().find(|model| model.role == Role::Refined);
+        let own = refined.and_then(|model| model.continuous.as_ref());
+        let Some(answer) = own.and_then(|own| Answer::of(&own.model, data.period_s)) else { return Ok(None) };
+        let without = answer.taken_off_all(data);
+        if pass < PASSES {
+            let Ok(next) = identify_held(&without, &data.training, &orders, &|_| {}) else { return Ok(None) };
+            found = next;
+        }
+        held = Some(without);
+    }
+    Ok(held)
+}
+
+/// Identifies with inputs that are held between samples. `measured`: the records to be fitted, with their outputs as they
+/// were measured.
+fn identify_held(
+    data: &Data,
+    measured: &[Record],
+    settings: &Settings,
+    progress: &dyn Fn(&str),
+) -> Result<Identification, IdentifyError> {
     let mut records = data.training.clone();
     if settings.initial_state == InitialState::Estimated {
         // Also for fitting, not only for comparing simulations, the initial state is unknown.
@@ -135,12 +161,11 @@ fn identify_held(data: &Data, settings: &Settings, progress: &dyn Fn(&str)) -> R
         models.push(modelled(Role::Refined, title, model, objections.is_sound.then(|| covariance.clone())));
     }
     let Objections { model_error, left, higher_order, .. } = objections;
-    let wrong_values = wrong_values(&records, &models, data.period_s);
+    let wrong_values = wrong_values(&records, measured, &models, data.period_s);
     let right_values = !settings.shifted && wrong_values.iter().all(leaves_sigma);
     if !right_values {
         models.iter_mut().filter(|m| m.role == Role::Refined).for_each(Modelled::forget_sigma);
     }
-    let reduced_differs = reduced_differs(&mut models, excited_hz);
     // 5. averaged periods, where the input repeats
     if settings.repeats.is_some() {
         progress("averaging periods");
@@ -152,20 +177,21 @@ fn identify_held(data: &Data, settings: &Settings, progress: &dyn Fn(&str)) -> R
         let sound = right_values && found.explains_lines();
         models.push(modelled(Role::Periodic, title, model, sound.then(|| covariance.clone())));
     }
-    // 6. uncertainty
+    // 6. how well they describe the records: what is left is no noise if it follows the input
+    progress("comparing the models with the records");
+    let fits = fits(&data.training, &data.validation, &models, settings.initial_state);
+    let linear = spectrum.as_ref().map(Spectrum::linear_part);
+    let is_no_noise = |model: &&mut Modelled| {
+        left_percent(&fits, model.role).is_some_and(|left| leaves_more_than_noise(left, linear))
+    };
+    models.iter_mut().filter(is_no_noise).for_each(Modelled::forget_sigma);
+    let reduced_differs = reduced_differs(&mut models, excited_hz);
+    // 7. uncertainty
     let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());
     let biased =
         settings.estimator == Estimator::Arx && (of_output || !residuals.as_ref().is_some_and(Residuals::look_white));
     progress(&format!("repeating the experiment {} times (--bootstrap)", settings.bootstrap));
     let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, how, settings, biased);
-    progress("comparing the models with the records");
-    let fits = fits(&data.training, &data.validation, &models, settings.initial_state);
-    let linear = spectrum.as_ref().map(|spectrum| spectrum.linear_part());
-    let is_no_noise = |model: &&mut Modelled| {
-        let own = |fit: &&Fit| fit.training && fit.role == model.role && matches!(fit.kind, Kind::Simulation(_));
-        fits.iter().find(own).is_some_and(|fit| leaves_more_than_noise(fit.error.error_percent, linear))
-    };
-    models.iter_mut().filter(is_no_noise).for_each(Modelled::forget_sigma);
     let mut done = Identification {
         candidates,
         criterion,
@@ -191,6 +217,7 @@ fn identify_held(data: &Data, settings: &Settings, progress: &dyn Fn(&str)) -> R
         arx,
         best_orders: best,
         unstable_in_band,
+        held: None,
     };
     done.diagnostics = diagnostics(data, &done, settings);
     Ok(done)

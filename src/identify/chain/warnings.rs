@@ -1,6 +1,6 @@
 //! Warnings to read before using the numbers.
 
-use crate::identify::chain::identification::{Differs, Fit, Identification};
+use crate::identify::chain::identification::{Differs, Fit, Identification, left_percent};
 use crate::identify::chain::settings::Settings;
 use crate::identify::checks::diagnostic::{Diagnostic, WayBack};
 use crate::identify::checks::residuals::{Residuals, too_many};
@@ -57,10 +57,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, settings: &Setting
             diagnostics.push(Diagnostic::NearlyUnstable { title, largest_pole });
         }
     }
-    let simulation = |model: &Modelled| {
-        let led = |f: &&Fit| f.training && f.role == model.role && matches!(f.kind, Kind::Simulation(_));
-        done.fits.iter().find(led).map(|f| f.error.error_percent)
-    };
+    let simulation = |model: &Modelled| left_percent(&done.fits, model.role);
     let is_poor = |error_percent: &f64| *error_percent > POOR_FIT_PERCENT;
     let other = done.leading().filter(|model| model.is_stable() && simulation(model).is_some_and(|e| !is_poor(&e)));
     for model in done.models.iter().filter(|m| m.is_stable()) {

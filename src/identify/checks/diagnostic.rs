@@ -357,7 +357,6 @@ fn left_over(error_percent: f64) -> String {
     format!("{error_percent:.0} %")
 }
 
-/// Whether a model that explains little is of too low an order, or of another input.
 /// Whether a simulation leaves so much of the output's energy, percent, that it is not noise that it leaves: more than half,
 /// and more than [`MORE_THAN_NOISE`] times what does not follow the input (`linear`: the fraction that does).
 pub(in crate::identify) fn leaves_more_than_noise(error_percent: f64, linear: Option<f64>) -> bool {
@@ -365,6 +364,7 @@ pub(in crate::identify) fn leaves_more_than_noise(error_percent: f64, linear: Op
     left > MIN_EXPLAINED && linear.is_some_and(|follows| left > MORE_THAN_NOISE * (1.0 - follows))
 }
 
+/// Whether a model that explains little is of too low an order, or of another input.
 fn why_poor(linear: Option<f64>) -> String {
     match linear {
         Some(part) if part > MIN_EXPLAINED => {
@@ -420,7 +420,7 @@ impl fmt::Display for Diagnostic {
             }
             Self::BetweenSamples => f.write_str(
                 "the commands change between frames: a model of samples takes their means as held, and its gain is too large, \
-                 the more the faster they change; without a refined model that is not corrected",
+                 the more the faster they change; without a refined model that has an H(s) this is not corrected",
             ),
             Self::StrangeRecord { title, record, error_percent } => write!(
                 f,

@@ -12,8 +12,14 @@ use crate::identify::checks::record_gains::record_gains;
 use crate::identify::data::segments::Record;
 use crate::identify::model::modelled::{Modelled, Role};
 
-/// What the records show, as the models tell: record by record.
-pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled], period_s: f64) -> Vec<Diagnostic> {
+/// What the records show, as the models tell: record by record. `measured` are the same with outputs as they were
+/// measured, which may be equal to the last digit.
+pub(in crate::identify) fn wrong_values(
+    training: &[Record],
+    measured: &[Record],
+    models: &[Modelled],
+    period_s: f64,
+) -> Vec<Diagnostic> {
     let model = Role::leading(models, |model| model.role).filter(|model| model.is_stable());
     // Where the input depends on the output, a refined model may follow a jump; elsewhere a model that describes the
     // record badly shows changes that are its own.
@@ -21,13 +27,13 @@ pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled]
     let is_asked =
         |asked: &&Modelled| asked.is_stable() && (fed_back || model.is_none_or(|led| led.role == asked.role));
     let asked = || models.iter().filter(is_asked);
-    let of_record = |record: &Record| {
+    let of_record = |(record, measured): (&Record, &Record)| {
         let name = || record.name.clone();
         let outlying = model.and_then(|model| {
             let outliers = outliers::outliers(&model.model, record, period_s)?;
             Some(Diagnostic::Outlying { record: name(), outliers })
         });
-        let at_limit = outliers::limit(model.map(|model| &model.model), record);
+        let at_limit = outliers::limit(model.map(|model| &model.model), measured);
         let at_limit = at_limit.map(|(count, value)| Diagnostic::AtLimit { record: name(), count, value });
         let jump = asked().find_map(|model| jump(&model.model, record, period_s));
         let moved = jump.map(|jump| Diagnostic::Jumps { record: name(), jump }).or_else(|| {
@@ -36,7 +42,7 @@ pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled]
             change.or_else(|| Some(Diagnostic::GainDrift { record: name(), drift: gain_drift(&model?.model, record)? }))
         });
         let hung = |signal: Signal| {
-            let frozen = frozen(&model?.model, record, period_s, signal)?;
+            let frozen = frozen(&model?.model, measured, period_s, signal)?;
             Some(Diagnostic::Frozen { record: name(), frozen })
         };
         // What was not recorded looks like anything.
@@ -44,7 +50,7 @@ pub(in crate::identify) fn wrong_values(training: &[Record], models: &[Modelled]
         let not_linear = || Some(Diagnostic::Nonlinear { record: name(), found: nonlinear(&model?.model, record)? });
         [outlying, at_limit, moved, hung.or_else(not_linear)]
     };
-    let told = training.iter().flat_map(of_record).flatten();
+    let told = training.iter().zip(measured).flat_map(of_record).flatten();
     told.chain(model.and_then(|model| record_gains(&model.model, training))).collect()
 }
 

@@ -13,8 +13,8 @@ use crate::series::{Current, Frame, Recording};
 /// Interval, in periods, beyond which frames were lost.
 const GAP_PERIODS: f64 = 1.5;
 const S_PER_NS: f64 = 1e-9;
-/// Changes between frames below this part of the largest command are those of rounding.
-const ROUNDING: f64 = 1e-9;
+/// What commands do between frames is left out where it changes the gain by no more than this part.
+const NEGLIGIBLE: f64 = 1e-5;
 /// A last command that is longer than this before the first frame has another clock, seconds.
 const LONGEST_BEFORE_S: f64 = 60.0;
 
@@ -181,11 +181,13 @@ impl Observed {
         Ok(series)
     }
 
-    /// Adds to a series of these commands how they change between its samples, if they do.
-    pub(crate) fn add_within(&self, series: &mut Series, commands: &Held, delay_s: f64) {
+    /// Adds to a series of these commands how they change between its samples, if that matters. Returns by what part a
+    /// model of means would have too large a gain: a sine's mean is smaller by s = sinc(f T), and what it is beyond has
+    /// the power 1 − s² of its own; over that of the means, s², this is 1/s² − 1.
+    pub(crate) fn add_within(&self, series: &mut Series, commands: &Held, delay_s: f64) -> f64 {
         let beyond = |(from, to): (f64, f64)| {
             let part_s = (to - from) / PARTS as f64;
-            let mean = commands.mean(from - delay_s, to - delay_s).unwrap_or_default();
+            let Some(mean) = commands.mean(from - delay_s, to - delay_s) else { return [0.0; PARTS] };
             std::array::from_fn(|i| {
                 let begin = from - delay_s + i as f64 * part_s;
                 commands.mean(begin, begin + part_s).map_or(0.0, |part| part - mean)
@@ -195,10 +197,16 @@ impl Observed {
         series.within = times.clone().zip(times.skip(1)).map(beyond).collect();
         // What the last sample's input does is not seen any more.
         series.within.resize(series.time_s.len(), [0.0; PARTS]);
-        let largest = series.within.iter().flatten().fold(0.0, |largest: f64, beyond| largest.max(beyond.abs()));
-        if largest <= ROUNDING * commands.largest().unwrap_or_default() {
+        let known = || series.drive.iter().flatten();
+        let mean = known().sum::<f64>() / known().count() as f64;
+        let of_means = known().map(|drive| (drive - mean).powi(2)).sum::<f64>();
+        let of_changes = series.within.iter().flatten().map(|beyond| beyond * beyond).sum::<f64>() / PARTS as f64;
+        let part = of_changes / of_means;
+        // Without any motion of the means it is no number.
+        if part.is_nan() || part <= NEGLIGIBLE {
             series.within.clear();
         }
+        part
     }
 
     /// The frames from `from_s` on.

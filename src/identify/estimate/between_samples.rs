@@ -6,7 +6,7 @@
 //! parts of this time, and taken off the output: then the input is as good as held.
 
 use crate::identify::data::segments::{Data, PARTS, Record, Segment};
-use crate::identify::model::continuous::Continuous;
+use crate::identify::model::continuous::{Continuous, Conversion};
 use crate::identify::model::polynomials::Polynomials;
 
 /// Whether the input of some segment is known to change between samples.
@@ -21,9 +21,9 @@ pub(in crate::identify) struct Answer {
 }
 
 impl Answer {
-    /// For samples that come every `period_s`.
-    pub(in crate::identify) fn of(model: &Continuous, period_s: f64) -> Self {
-        Self { of_parts: model.sampled(period_s / PARTS as f64) }
+    /// For samples that come every `period_s`. `None` for an H(s) by Tustin's rule: it is wrong about what is fast.
+    pub(in crate::identify) fn of(model: &Continuous, period_s: f64) -> Option<Self> {
+        (model.conversion == Conversion::Hold).then(|| Self { of_parts: model.sampled(period_s / PARTS as f64) })
     }
 
     /// A segment without it.
@@ -53,7 +53,6 @@ mod tests {
     use super::*;
     use crate::identify::chain::settings::{Choice, Settings};
     use crate::identify::chain::steps::identify;
-    use crate::identify::model::continuous::Conversion;
     use crate::identify::model::modelled::Role;
     use crate::identify::model::polynomials::Orders;
     use crate::identify::tests::{noise, settings};

@@ -208,9 +208,12 @@ pub(crate) fn estimate(
     let changes = between_samples::is_in(&segments(best.at.timing, Inputs::Changing)?);
     let mut answer = None;
     for _ in 0..if changes { PASSES } else { 0 } {
-        let own = Answer::of(&Continuous::of(&best.at.model, period_s)?, period_s);
+        let own = Continuous::of(&best.at.model, period_s).and_then(|model| Answer::of(&model, period_s));
+        let Some(own) = own else { break };
         let without = |timing| without(&segments, timing, &own);
-        best = Search { period_s, own_clock, segments: &without }.run(best.at, FINAL_STEPS)?;
+        let search = Search { period_s, own_clock, segments: &without };
+        let Some(next) = search.run(best.at.clone(), FINAL_STEPS) else { break };
+        best = next;
         answer = Some(own);
     }
     let Lowest { at: best, cost, .. } = best;

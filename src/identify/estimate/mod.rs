@@ -1,5 +1,5 @@
 //! Estimators of a model from samples, the search for its orders and delay, and what noise does to σ. Also the unknown
-//! zero of the angle, and the delay between the clocks, and what inputs do between samples.
+//! zero of the angle, the delay between the clocks, and what inputs do between samples.
 
 pub(super) mod arx;
 pub(super) mod between_samples;

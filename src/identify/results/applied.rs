@@ -8,6 +8,7 @@ use crate::identify::chain::steps::fits;
 use crate::identify::chain::warnings::other_unit;
 use crate::identify::data::segments::{Data, Segment};
 use crate::identify::data::spectrum::{Spectrum, spectrum};
+use crate::identify::estimate::between_samples::{self, Answer};
 use crate::identify::model::modelled::{Modelled, Role};
 use crate::identify::model::reproduction::{InitialState, best_gain};
 use crate::identify::results::saved::Saved;
@@ -20,6 +21,8 @@ const GAIN_TOLERANCE: f64 = 0.1;
 pub(crate) struct Applied {
     /// The models that can be applied.
     pub models: Vec<Modelled>,
+    /// The records as they are compared, if inputs change between samples: without what they do there.
+    pub held: Option<Data>,
     /// Each model on each record.
     pub fits: Vec<Fit>,
     /// Spectrum of all records.
@@ -80,7 +83,11 @@ pub(crate) fn apply(
             notes.push(format!("the model's {what} is {of_model}, that of the records {of_records}"));
         }
     }
-    let mut applied = Applied { fits: Vec::new(), gains: Vec::new(), spectrum, notes, models };
+    let own = Role::leading(&models, |model| model.role).and_then(|model| model.continuous.as_ref());
+    let answer = own.and_then(|own| Answer::of(&own.model, data.period_s));
+    let held = answer.filter(|_| between_samples::is_in(&segments)).map(|answer| answer.taken_off_all(data));
+    let data = held.as_ref().unwrap_or(data);
+    let mut applied = Applied { held: None, fits: Vec::new(), gains: Vec::new(), spectrum, notes, models };
     applied.fits = fits(&[], &data.validation, &applied.models, initial_state);
     if let Some(leading) = applied.leading().cloned() {
         for record in &data.validation {
@@ -95,7 +102,7 @@ pub(crate) fn apply(
             applied.gains.push((record.name.clone(), gain));
         }
     }
-    Ok(applied)
+    Ok(Applied { held, ..applied })
 }
 
 #[cfg(test)]

@@ -9,6 +9,8 @@ use nalgebra::Vector3;
 
 /// A wider tube is a slip of the units; pictures of bands of any width cannot be made.
 const WIDEST_TUBE_MM: f64 = 1e3;
+/// Part of the last band that may be round: the band has an edge, and ends behind it.
+const MOST_ROUND: f64 = 0.9;
 /// Longer than the stiff part of any catheter that is steered by a coil on it, metres.
 const LONGEST_STIFF_M: f64 = 0.1;
 /// Largest weight of 8-bit samples that can be computed with; learned ones are below 1.
@@ -158,10 +160,12 @@ impl Check<'_> {
                 let expected = "`end`, the marker that ends the tube, with it";
                 return Err(self.value("catheter.end_rounding_mm", rounding, expected));
             };
-            let most_mm = (last.length_m * 1e3).min(raw.diameter_mm);
+            let most_mm = (MOST_ROUND * last.length_m * 1e3).min(raw.diameter_mm);
             if rounding > most_mm {
-                let expected =
-                    format!("at most {}: no longer than the last band, nor than wide", written_mm(most_mm / 1e3));
+                let expected = format!(
+                    "at most {}: nine tenths of the last band, and no more than the diameter",
+                    written_mm(most_mm / 1e3)
+                );
                 return Err(self.value("catheter.end_rounding_mm", rounding, expected));
             }
         }

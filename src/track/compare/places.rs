@@ -412,7 +412,7 @@ mod tests {
     /// A tube 24 px wide: all pixels beside its outline and around its ring, every fifth of the others.
     #[test]
     fn inside_a_wide_tube_every_fifth_pixel_is_used() {
-        let layout = Layout { rings_m: vec![0.0], ends: false, rounding_m: 0.0 };
+        let layout = Layout { rings_m: vec![0.0], ends: false, rounding_m: 0.0, rounding_radii: 0.0 };
         let shape = TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.1, 1.0, 0.05), 6e-3);
         let image = TubeImage::of(&shape, 6e-3, &views()[0], (-30e-3, 30e-3), 3e-3, None, None).unwrap();
         let range = (1.0, image.knots.len() as f64 - 2.0);
@@ -439,7 +439,7 @@ mod tests {
 
     #[test]
     fn each_pixel_within_the_margin_is_found_once_and_at_its_nearest_point() {
-        let layout = Layout { rings_m: vec![-6e-3, 6e-3, 19e-3], ends: true, rounding_m: 0.0 };
+        let layout = Layout { rings_m: vec![-6e-3, 6e-3, 19e-3], ends: true, rounding_m: 0.0, rounding_radii: 0.0 };
         let directions = [(0.1, 1.0, 0.05), (1.0, 0.02, 0.1), (-0.7, -0.6, 0.3), (0.0, 1.0, 0.0)];
         let mut compared = 0;
         for (path, (x, y, z)) in views().iter().flat_map(|path| directions.map(|way| (path, way))) {

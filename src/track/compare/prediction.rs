@@ -58,9 +58,8 @@ pub(in crate::track) struct Piece {
     axis: [[f32; 2]; 4],
     half: Linear,
     bulge: Linear,
-    /// How much of the change of a ring's bulge by a turn of the tube is seen: all (1), or nothing (0) at a rounded end,
-    /// whose outline hardly changes.
-    turning_bulge: f32,
+    /// Change of that per change of the bulge of a ring across the tube: 1, but for a rounded end.
+    d_bulge: Linear,
     scale: Linear,
     turn: [Linear; 2],
     /// Variance of the motion and of the samples' neighbourhoods, across the axis and along it, px².
@@ -136,7 +135,7 @@ impl<'a> Scene<'a> {
             axis,
             half: linear(&|knot| knot.half_width),
             bulge: linear(&|knot| layout.bulge_px(place.ring, knot.bulge, knot.scale)),
-            turning_bulge: if layout.is_rounded(place.ring) { 0.0 } else { 1.0 },
+            d_bulge: linear(&|knot| layout.d_bulge(place.ring, knot.bulge, knot.scale)),
             scale: linear(&|knot| knot.scale),
             turn: [0, 1].map(|i| between(turns[place.knot][i], turns[place.knot + 1][i])),
             blurred: [linear(&|knot| knot.swept.x + spread(knot).x), linear(&|knot| knot.swept.y + spread(knot).y)],
@@ -350,9 +349,10 @@ fn show<const AT_RING: bool, const ENDS: bool>(chunk: &mut Chunk, piece: &Piece,
         chunk.d_v[0].0[i] = across.cover * outline.d_v;
         chunk.d_v[1].0[i] = shade * before.d_v + capped * cap.d_v;
         chunk.d_v[2].0[i] = shade * behind.d_v;
-        chunk.d_bulge[0].0[i] = across.cover * outline.d_bulge * piece.turning_bulge;
-        chunk.d_bulge[1].0[i] = (shade * before.d_bulge + capped * cap.d_bulge) * piece.turning_bulge;
-        chunk.d_bulge[2].0[i] = shade * behind.d_bulge;
+        let by_bulge = at(piece.d_bulge, f);
+        chunk.d_bulge[0].0[i] = across.cover * outline.d_bulge * by_bulge;
+        chunk.d_bulge[1].0[i] = (shade * before.d_bulge + capped * cap.d_bulge) * by_bulge;
+        chunk.d_bulge[2].0[i] = shade * behind.d_bulge * by_bulge;
         for (lanes, shade) in chunk.shades.iter_mut().zip(across.shades) {
             lanes.0[i] = shade;
         }
@@ -464,7 +464,7 @@ mod tests {
     fn image() -> (TubeImage, Layout) {
         let shape = TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.2, 1.0, 0.3), 6e-3);
         let image = TubeImage::of(&shape, 1.6e-3, &views()[0], (-9e-3, 12e-3), 3e-3, None, None).unwrap();
-        (image, Layout { rings_m: vec![1e-3, 8e-3], ends: true, rounding_m: 0.0 })
+        (image, Layout { rings_m: vec![1e-3, 8e-3], ends: true, rounding_m: 0.0, rounding_radii: 0.0 })
     }
 
     fn colours(layout: &Layout) -> Vec<f64> {

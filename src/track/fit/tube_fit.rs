@@ -270,7 +270,12 @@ mod tests {
 
     fn stretch() -> Stretch {
         Stretch {
-            layout: Layout { rings_m: vec![-6e-3, 6e-3, 19e-3, 25e-3], ends: true, rounding_m: 0.0 },
+            layout: Layout {
+                rings_m: vec![-6e-3, 6e-3, 19e-3, 25e-3],
+                ends: true,
+                rounding_m: 0.0,
+                rounding_radii: 0.0,
+            },
             range_m: (-14e-3, 27.5e-3),
             radius_m: 1.6e-3,
             at_clamp: false,
@@ -335,7 +340,12 @@ mod tests {
             let tube = Tube { rounding_m, ..Tube::along(direction) };
             let picture = tube.picture(Sensor::IDEAL, 1);
             let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
-            let rounded = Layout { rings_m: vec![-6e-3, 6e-3, 19e-3, 25e-3 - rounding_m], ends: true, rounding_m };
+            let rounded = Layout {
+                rings_m: vec![-6e-3, 6e-3, 19e-3, 25e-3 - rounding_m],
+                ends: true,
+                rounding_m,
+                rounding_radii: rounding_m / 1.6e-3,
+            };
             let found = fit(&Stretch { layout: rounded, ..stretch() }, &start, &picture, None).unwrap();
             for s in [0.0, 22e-3] {
                 let error = (found.shape.at(s).0 - (tube.centre + tube.direction * s)).norm();

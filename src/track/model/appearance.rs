@@ -30,6 +30,8 @@ pub(in crate::track) struct Layout {
     pub ends: bool,
     /// Length over which the tube's end is rounded beyond that ring, metres; 0 where it is cut straight.
     pub rounding_m: f64,
+    /// The same in radii.
+    pub rounding_radii: f64,
 }
 
 impl Layout {
@@ -62,6 +64,15 @@ impl Layout {
     /// `scale` pixels.
     pub(in crate::track) fn bulge_px(&self, ring: usize, plain_px: f64, scale: f64) -> f64 {
         if self.is_rounded(ring) { plain_px.hypot(self.rounding_m * scale) } else { plain_px }
+    }
+
+    /// Change of that per change of the bulge of a ring across the tube. A tube that turns away from the camera shows its
+    /// length longer as such a ring bulges less: the outline of a half sphere does not change.
+    pub(in crate::track) fn d_bulge(&self, ring: usize, plain_px: f64, scale: f64) -> f64 {
+        if !self.is_rounded(ring) {
+            return 1.0;
+        }
+        plain_px / self.bulge_px(ring, plain_px, scale) * (1.0 - self.rounding_radii * self.rounding_radii)
     }
 
     /// The ring nearest to `s_m`.

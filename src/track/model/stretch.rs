@@ -18,6 +18,8 @@ const BASEWARD_DIAMETERS: f64 = 1.0;
 const BESIDE_DIAMETERS: f64 = 4.0;
 /// The same above the first band, where a clamp may be near, and beside a band whose neighbour's place is unknown.
 const CAUTIOUS_DIAMETERS: (f64, f64) = (0.5, 2.0);
+/// Part of the last band that may be round, when its length is varied.
+const MOST_ROUND: f64 = 0.95;
 /// Background beyond the end of the tube, in diameters.
 const BEYOND_DIAMETERS: f64 = 0.8;
 
@@ -109,7 +111,7 @@ fn group(rig: &Rig, members: Vec<(usize, f64)>, reference: usize) -> Group {
     };
     let range_m = (rings_m[0] - beside(first, first.checked_sub(1)), rings_m[rings_m.len() - 1] + below);
     // The end of a rounded tube begins where it begins to be round.
-    let rounding_m = rig.catheter.end_rounding_m.filter(|_| ends).unwrap_or(0.0);
+    let rounding_m = rig.catheter.end_rounding_m.filter(|_| ends).unwrap_or(0.0).min(MOST_ROUND * 2.0 * half(last));
     rings_m.iter_mut().last().into_iter().for_each(|end| *end -= rounding_m);
     let straight_half_m = if reference == rig.catheter.coil {
         half(reference).max(rig.catheter.rigid_m.unwrap_or(0.0) / 2.0)
@@ -121,7 +123,7 @@ fn group(rig: &Rig, members: Vec<(usize, f64)>, reference: usize) -> Group {
         reference,
         straight_half_m,
         stretch: Stretch {
-            layout: Layout { rings_m, ends, rounding_m },
+            layout: Layout { rings_m, ends, rounding_m, rounding_radii: rounding_m / (diameter / 2.0) },
             range_m,
             radius_m: diameter / 2.0,
             at_clamp: first == 0,

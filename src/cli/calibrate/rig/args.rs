@@ -119,7 +119,11 @@ impl FromStr for TapedTo {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("`{text}` is not a wall: write NAME=PICTURE, for example front_wall=taped.png");
+        let wrong = || {
+            format!(
+                "`{text}` is not a wall: write NAME=PICTURE, for example front_wall=taped.png, or front_wall=taped.png:3mm for a board of 3 mm"
+            )
+        };
         let (wall, rest) = text.split_once('=').ok_or_else(wrong)?;
         // A name of a file may have a colon, too.
         let with_thickness =

@@ -179,6 +179,9 @@ fn info(args: &RigArgs, out: &Path, seen: &Seen, done: &RigCalibration) -> Calib
         settings.push((format!("Distance of {name}"), format!("{} ± {}", mm(*distance_m), mm(*sd_m))));
     }
     let not_found = searched.iter().filter_map(|s| Some((s.name.clone(), s.images.as_ref().err()?.clone()))).collect();
+    for TapedTo { wall, thickness_m, .. } in &args.walls {
+        settings.push((format!("Board on {wall}"), format!("print {} in front of it", mm(*thickness_m))));
+    }
     settings.extend(provenance::of_this_run());
     // Read again: all pictures kept in memory would be gigabytes.
     let again = |name: String| {
