@@ -108,7 +108,7 @@ fn a_mirror_close_to_the_side_of_a_tank_is_found() {
     let wall = |outer| {
         Surface::Wall(Wall { outer, thickness_m: 6e-3, index_outside: 1.0, index_wall: 1.52, index_inside: 1.33299 })
     };
-    let side = wall(plane(Vector3::new(1.0, -0.03, -0.04), Vector3::new(0.125, 0.0, 0.73)));
+    let side = wall(plane(Vector3::new(1.0, 0.0, 0.04), Vector3::new(0.125, 0.0, 0.73)));
     let mirror = plane(Vector3::new(-0.7, 0.015, -0.7), Vector3::new(0.212, 0.0, 0.73));
     let front = wall(plane(Vector3::new(0.04, -0.03, -1.0), Vector3::new(0.0, 0.0, 0.6)));
     let lens = Lens { focal_px: Vector2::new(1500.0, 1500.0), ..lens() };
