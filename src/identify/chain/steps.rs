@@ -182,7 +182,8 @@ fn identify_held(
     let fits = fits(&data.training, &data.validation, &models, settings.initial_state);
     let linear = spectrum.as_ref().map(Spectrum::linear_part);
     let is_no_noise = |model: &&mut Modelled| {
-        left_percent(&fits, model.role).is_some_and(|left| leaves_more_than_noise(left, linear))
+        let left = left_percent(&fits, model.role).filter(|_| matches!(model.role, Role::Refined | Role::Periodic));
+        left.is_some_and(|left| leaves_more_than_noise(left, linear))
     };
     models.iter_mut().filter(is_no_noise).for_each(Modelled::forget_sigma);
     let reduced_differs = reduced_differs(&mut models, excited_hz);

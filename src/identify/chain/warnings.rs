@@ -64,7 +64,8 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, settings: &Setting
         if let Some(error_percent) = simulation(model).filter(is_poor) {
             let linear = done.spectrum.as_ref().map(Spectrum::linear_part);
             let (title, other) = (model.title.clone(), other.map(|other| other.title.clone()));
-            diagnostics.push(Diagnostic::Poor { title, error_percent, linear, other });
+            let has_sigma = model.covariance.is_some();
+            diagnostics.push(Diagnostic::Poor { title, error_percent, linear, other, has_sigma });
         }
     }
     diagnostics.extend(strange_records(done));

@@ -48,6 +48,8 @@ pub enum Diagnostic {
         linear: Option<f64>,
         /// The model to use, if that explains more.
         other: Option<String>,
+        /// Whether it has a σ all the same: what it leaves may be noise.
+        has_sigma: bool,
     },
     /// A record to judge by is unlike those that were fitted.
     StrangeRecord {
@@ -428,13 +430,13 @@ impl fmt::Display for Diagnostic {
                  fitted to: are units, coil, delay and signs the same? Orders were judged by it too",
                 left_over(*error_percent)
             ),
-            Self::Poor { title, error_percent, linear, other } => write!(
+            Self::Poor { title, error_percent, linear, other, has_sigma } => write!(
                 f,
                 "{title}: {}its simulation leaves {} of the energy of the data it was fitted to: {}{}",
                 if *error_percent > 100.0 { "does not describe the data, " } else { "" },
                 left_over(*error_percent),
                 other.as_ref().map_or_else(|| why_poor(*linear), |other| format!("use {other}, which describes them")),
-                if leaves_more_than_noise(*error_percent, *linear) { "; it has no σ" } else { "" }
+                if *has_sigma { "" } else { "; it has no σ" }
             ),
             Self::Together { coils, ratio } => write!(
                 f,
@@ -650,7 +652,8 @@ mod tests {
     #[test]
     fn a_model_that_describes_nothing_is_not_given_a_number() {
         let poor = |error_percent| {
-            Diagnostic::Poor { title: "ARX".to_owned(), error_percent, linear: None, other: None }.to_string()
+            Diagnostic::Poor { title: "ARX".to_owned(), error_percent, linear: None, other: None, has_sigma: true }
+                .to_string()
         };
         assert!(poor(1e12).starts_with("ARX: does not describe the data, its simulation leaves more than 1000 % of"));
         assert!(poor(60.0).starts_with("ARX: its simulation leaves 60 % of the energy"));

@@ -20,7 +20,7 @@ pub(super) fn doubts(together: Option<&Together>, names: &[String], judged: &[Re
         let title = || format!("{angle} by the full model");
         let poor = judged.iter().filter(|fit| fit.fitted).map(error).find(|percent| *percent > POOR_FIT_PERCENT);
         if let Some(error_percent) = poor {
-            doubts.push(Diagnostic::Poor { title: title(), error_percent, linear: None, other: None });
+            doubts.push(Diagnostic::Poor { title: title(), error_percent, linear: None, other: None, has_sigma: true });
             continue;
         }
         let strange = judged.iter().filter(|fit| !fit.fitted && error(fit) > WORSE_THAN_ZERO_PERCENT);

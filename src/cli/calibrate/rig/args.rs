@@ -51,8 +51,8 @@ pub(in super::super) struct RigArgs {
     /// Measured distance of a surface's plane from the lens, and its σ; may be repeated
     #[arg(long = "distance", value_name = "NAME=1265mm:2mm")]
     pub(super) distances: Vec<Distance>,
-    /// A picture of the board taped flat to the outer face of a wall, and the thickness of what its print is glued to, if
-    /// that is no paper; may be repeated
+    /// A picture of the board taped flat to the outer face of a wall, and its thickness if it is no
+    /// paper; may be repeated
     #[arg(long = "wall", value_name = "NAME=PICTURE[:3mm]")]
     pub(super) walls: Vec<TapedTo>,
     /// Rig file to write [default: the one given by --rig]
