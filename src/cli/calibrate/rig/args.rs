@@ -121,7 +121,8 @@ impl FromStr for TapedTo {
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || {
             format!(
-                "`{text}` is not a wall: write NAME=PICTURE, for example front_wall=taped.png, or front_wall=taped.png:3mm for a board of 3 mm"
+                "`{text}` is not a wall: write NAME=PICTURE, for example front_wall=taped.png, or \
+                 front_wall=taped.png:3mm for a board of 3 mm"
             )
         };
         let (wall, rest) = text.split_once('=').ok_or_else(wrong)?;
