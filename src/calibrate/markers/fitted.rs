@@ -270,8 +270,8 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
     is_clearly_better(&declared, &with(gamma), frames, followers).then(|| (gamma * 1e3).round() / 1e3)
 }
 
-/// Whether another rig explains the pictures clearly better. (Each frame is compared: a few would tell too little of the
-/// scatter.)
+/// Whether another rig explains the pictures clearly better. (Each frame is compared: a few would tell too little of
+/// the scatter.)
 fn is_clearly_better(rig: &Rig, other: &Rig, frames: &[Frame], followers: &[Frame]) -> bool {
     let Some(excesses) = Compared::with(rig, every(frames, JUDGING_FRAMES), followers).excesses(other) else {
         return false;

@@ -157,8 +157,8 @@ fn plane_between(
 }
 
 impl Wall {
-    /// Approximate true position of a point that appears at `apparent` through this wall, seen from `eye`: things behind
-    /// it appear nearer, by the index.
+    /// Approximate true position of a point that appears at `apparent` through this wall, seen from `eye`: things
+    /// behind it appear nearer, by the index.
     fn lengthened(&self, apparent: &Point3<f64>, eye: &Point3<f64>) -> Point3<f64> {
         let behind = (-self.outer.signed_distance(apparent)).max(0.0);
         apparent + (apparent - eye).normalize() * (behind * (self.index_inside - 1.0))

@@ -50,8 +50,8 @@ pub(super) fn warn_of_changes(source: &str, held: &[Held], observed: &Observed, 
     if let Some(part) = largest.filter(|part| *part > TOO_LARGE) {
         tracing::warn!(
             "{source}: currents change between frames, whose mean is taken as held: gains are too large by about {:.1} \
-             %, more where the currents change fast and less elsewhere; more frames per second, or slower currents, make \
-             it less",
+             %, more where the currents change fast and less elsewhere; more frames per second, or slower currents, \
+             make it less",
             part * 100.0
         );
     }

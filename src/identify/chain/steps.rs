@@ -31,7 +31,8 @@ use std::f64::consts::TAU;
 /// than one in twenty lie beyond.
 const DIFFERS_SD: f64 = 2.0;
 
-/// Models by which what inputs do between samples is taken off the outputs, each found without what the one before told.
+/// Models by which what inputs do between samples is taken off the outputs, each found without what the one before
+/// told.
 const PASSES: usize = 2;
 
 /// Identifies.
@@ -68,8 +69,8 @@ pub(crate) fn identify_with_progress(
     Ok(done)
 }
 
-/// The data without what inputs do between samples, by the refined models of [`PASSES`] identifications; `None` where one
-/// of them has no H(s).
+/// The data without what inputs do between samples, by the refined models of [`PASSES`] identifications; `None` where
+/// one of them has no H(s).
 ///
 /// # Errors
 /// Those of the first.
@@ -91,8 +92,8 @@ fn taken_off(data: &Data, settings: &Settings) -> Result<Option<Data>, IdentifyE
     Ok(held)
 }
 
-/// Identifies with inputs that are held between samples. `measured`: the records to be fitted, with their outputs as they
-/// were measured.
+/// Identifies with inputs that are held between samples. `measured`: the records to be fitted, with their outputs as
+/// they were measured.
 fn identify_held(
     data: &Data,
     measured: &[Record],

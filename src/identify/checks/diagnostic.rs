@@ -359,8 +359,8 @@ fn left_over(error_percent: f64) -> String {
     format!("{error_percent:.0} %")
 }
 
-/// Whether a simulation leaves so much of the output's energy, percent, that it is not noise that it leaves: more than half,
-/// and more than [`MORE_THAN_NOISE`] times what does not follow the input (`linear`: the fraction that does).
+/// Whether a simulation leaves so much of the output's energy, percent, that it is not noise that it leaves: more than
+/// half, and more than [`MORE_THAN_NOISE`] times what does not follow the input (`linear`: the fraction that does).
 pub(in crate::identify) fn leaves_more_than_noise(error_percent: f64, linear: Option<f64>) -> bool {
     let left = error_percent / 100.0;
     left > MIN_EXPLAINED && linear.is_some_and(|follows| left > MORE_THAN_NOISE * (1.0 - follows))
@@ -421,8 +421,8 @@ impl fmt::Display for Diagnostic {
                 )
             }
             Self::BetweenSamples => f.write_str(
-                "the commands change between frames: a model of samples takes their means as held, and its gain is too large, \
-                 the more the faster they change; without a refined model that has an H(s) this is not corrected",
+                "the commands change between frames: a model of samples takes their means as held, and its gain is too \
+                 large, the more the faster they change; without a refined model that has an H(s) this is not corrected",
             ),
             Self::StrangeRecord { title, record, error_percent } => write!(
                 f,

@@ -15,8 +15,8 @@ pub struct Segment {
     pub start_s: f64,
     /// Input; sample k acts from the time of sample k to that of sample k+1.
     pub input: Vec<f64>,
-    /// By how much the input is above that in each part of this time, as long as the input, if it changes between samples:
-    /// see `between_samples`.
+    /// By how much the input is above that in each part of this time, as long as the input, if it changes between
+    /// samples: see `between_samples`.
     pub within: Option<Vec<[f64; PARTS]>>,
     /// Output, as long as the input; NaN where it was not observed.
     pub output: Vec<f64>,

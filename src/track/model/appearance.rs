@@ -13,9 +13,9 @@
 //!
 //! Along the tube, colours change at rings. The near side of a ring lies `bulge·√(1−x²)` further along the axis than
 //! its centre, so edges are curved; each edge is blurred by the same σ. The tube's end shows its cap when it points at
-//! the camera. An end rounded over h, as half an ellipsoid, begins at the last ring: its outline is half an ellipse that
-//! bulges by √(bulge² + (h·scale)²), for a half sphere half a circle, and it has no cap. The background has a linear
-//! gradient.
+//! the camera. An end rounded over h, as half an ellipsoid, begins at the last ring: its outline is half an ellipse
+//! that bulges by √(bulge² + (h·scale)²), for a half sphere half a circle, and it has no cap. The background has a
+//! linear gradient.
 //!
 //! Cannot represent: specular highlights that move along the tube, shadow edges across a band, objects in front.
 
