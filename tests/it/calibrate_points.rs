@@ -97,7 +97,8 @@ fn a_mirror_is_found_within_its_sigma_from_a_plate_and_from_a_frame_of_points() 
     }
 }
 
-/// Through the front wall of a tank, and in a mirror 9 cm beside it through its side: boards up to 6 cm from its middle.
+/// Through the front wall of a tank, and in a mirror 9 cm beside it through its side: boards up to 6 cm from its
+/// middle.
 /// (In none of eight such sets was there a solution when the mirror was taken to be where it seems to be in air.)
 #[test]
 fn a_mirror_close_to_the_side_of_a_tank_is_found() {

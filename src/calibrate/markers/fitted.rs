@@ -6,7 +6,7 @@ use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track, view_blurs};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::median::upper_median;
-use crate::rig::{Camera, Catheter, Marker, Rig};
+use crate::rig::{Camera, Marker, Rig};
 use crate::source::{Frame, Picture, Timestamp};
 use crate::track::LONGEST_EXPOSURE;
 use crate::track::misfit_curve::mean_with_sd;
@@ -286,7 +286,8 @@ fn is_clearly_better(rig: &Rig, other: &Rig, frames: &[Frame], followers: &[Fram
 /// that is cut straight.
 fn end_rounding_m(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
     let end = rig.markers.get(rig.catheter.end?)?;
-    let straight = Rig { catheter: Catheter { end_rounding_m: None, ..rig.catheter.clone() }, ..rig.clone() };
+    let mut straight = rig.clone();
+    straight.catheter.end_rounding_m = None;
     let with = |rounding_m: f64| {
         let mut changed = straight.clone();
         changed.catheter.end_rounding_m = Some(rounding_m);

@@ -302,7 +302,7 @@ fn best(
         })
         .collect();
     let margins: &[f64] = if options.tank.is_some() { &MARGINS_M } else { &[0.0] };
-    // Where a mirror beside the tank seems to be, and if no search from there ends, where water makes it seem so.
+    // From where a mirror beside the tank seems to be; if no search from there ends, from where water puts it.
     let beside = options.tank.is_some_and(|tank| !tank.mirrors_inside);
     let ways: &[Beside] = if beside { &[Beside::AsSeen, Beside::BehindWater] } else { &[Beside::AsSeen] };
     let starts = ways.iter().flat_map(|way| margins.iter().map(move |margin_m| (*way, *margin_m)));

@@ -13,7 +13,7 @@ use crate::identify::checks::residuals::Residuals;
 use crate::identify::checks::wrong_values::{leaves_sigma, wrong_values};
 use crate::identify::data::segments::{Data, Record, Segment};
 use crate::identify::data::spectrum::{Spectrum, spectrum};
-use crate::identify::estimate::between_samples::{self, Answer};
+use crate::identify::estimate::between_samples::{self, Answer, PASSES};
 use crate::identify::estimate::estimated::{Estimated, Refined};
 use crate::identify::estimate::initial_models::initial_models;
 use crate::identify::estimate::search::{Candidate, Criterion, best, search};
@@ -30,10 +30,6 @@ use std::f64::consts::TAU;
 /// Difference of the reduced model from the refined one, in σ, from which its σ is not given. Where σ is right, fewer
 /// than one in twenty lie beyond.
 const DIFFERS_SD: f64 = 2.0;
-
-/// Models by which what inputs do between samples is taken off the outputs, each found without what the one before
-/// told.
-const PASSES: usize = 2;
 
 /// Identifies.
 ///

@@ -9,6 +9,9 @@ use crate::identify::data::segments::{Data, PARTS, Record, Segment};
 use crate::identify::model::continuous::{Continuous, Conversion};
 use crate::identify::model::polynomials::Polynomials;
 
+/// Models whose answers are taken off, one after the other: each is found without what the one before told.
+pub(in crate::identify) const PASSES: usize = 2;
+
 /// Whether the input of some segment is known to change between samples.
 pub(in crate::identify) fn is_in<'a>(segments: impl IntoIterator<Item = &'a Segment>) -> bool {
     segments.into_iter().any(|segment| segment.within.is_some())

@@ -19,7 +19,7 @@
 use crate::digits::fixed;
 use crate::identify::data::segments::Segment;
 use crate::identify::estimate::arx;
-use crate::identify::estimate::between_samples::{self, Answer};
+use crate::identify::estimate::between_samples::{self, Answer, PASSES};
 use crate::identify::estimate::noise_colour::Colour;
 use crate::identify::estimate::output_error::{
     self, Derivatives, derivatives_and_residual, fitted_besides, linearised, squares, triangle,
@@ -59,8 +59,6 @@ const CONTINUED_SEARCHES: usize = 3;
 const AS_WELL: f64 = 1.25;
 /// Delays closer than this are one, in periods.
 const SAME: f64 = 0.1;
-/// Models by which what commands do between samples is taken off the output, one after the other.
-const PASSES: usize = 2;
 /// Parts of a record that are left out in turn.
 const BLOCKS: usize = 10;
 /// Systematic error of the method, in periods. Simulated over all phases between amplifier and camera: 0.2 % to 0.6 %

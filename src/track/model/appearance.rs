@@ -66,8 +66,8 @@ impl Layout {
         if self.is_rounded(ring) { plain_px.hypot(self.rounding_m * scale) } else { plain_px }
     }
 
-    /// Change of that per change of the bulge of a ring across the tube. A tube that turns away from the camera shows its
-    /// length longer as such a ring bulges less: the outline of a half sphere does not change.
+    /// Change of that per change of the bulge of a ring across the tube. A tube that turns away from the camera shows
+    /// its length longer as such a ring bulges less: the outline of a half sphere does not change.
     pub(in crate::track) fn d_bulge(&self, ring: usize, plain_px: f64, scale: f64) -> f64 {
         if !self.is_rounded(ring) {
             return 1.0;
