@@ -185,8 +185,10 @@ fn a_lens_from_elsewhere_is_taken_for_exact() {
     let args = ["calibrate", "rig", &sample("mirror"), "--board", "9x6:12mm", "--rig", "rig.toml", "--glass", "5mm"];
     let output = catoptra(folder.path(), &args);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    assert!(text(&output.stdout).contains("the lens is taken as exact"));
+    assert!(text(&output.stderr).contains("doubt: ") && text(&output.stderr).contains("the lens is taken as exact"));
     let found = Draft::load(&folder.path().join("rig.toml")).unwrap();
+    let doubts = found.provenance["rig"]["doubts"].as_array().unwrap();
+    assert!(doubts.iter().any(|doubt| doubt.as_str().unwrap().contains("no σ contains its errors")), "{doubts:?}");
     assert_eq!(found.camera.lens, rig().camera.lens);
     assert_eq!(found.provenance["rig"]["parameters"].as_array().unwrap().len(), 9);
     let covariance = found.provenance["rig"]["covariance"].as_array().unwrap();

@@ -84,6 +84,8 @@ pub(crate) struct Clustered {
     pub(crate) weighted: DMatrix<f64>,
     /// For each cluster, what it says.
     pub(crate) parts: Vec<Part>,
+    /// The unknowns are its transpose times the coordinates of `parts`; lower triangular.
+    pub(crate) whitening: DMatrix<f64>,
     /// Ratio of the variance to that of independent corners, over all directions; 1 or more.
     pub(crate) design_effect: f64,
 }
@@ -131,6 +133,7 @@ impl Clustered {
             noise: back(seen + &prior * prior_weight),
             weighted: whitening.tr_mul(&whitening) * prior_weight,
             parts,
+            whitening,
             design_effect,
         })
     }

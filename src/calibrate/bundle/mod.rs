@@ -96,6 +96,8 @@ pub struct Solution {
     pub(crate) clusters: Vec<usize>,
     /// For each cluster, what it says of the unknowns, see [`Clustered::parts`].
     pub(crate) parts: Vec<Part>,
+    /// See [`Clustered::whitening`].
+    pub(crate) whitening: DMatrix<f64>,
     /// Ratio of the variance to that of independent corners, over all directions of the parameters; 1 or more.
     pub design_effect: f64,
     /// For each picture, camera_from_board.
@@ -176,6 +178,7 @@ impl Bundle {
             shape_covariance: known.covariance.view((free, free), (shape::PARAMETERS, shape::PARAMETERS)).into_owned(),
             clusters: self.clusters(&at),
             parts: known.parts,
+            whitening: known.whitening,
             design_effect: known.design_effect,
             residuals_px: self.residuals_px(&at)?,
             corner_sd_px: sd_px,

@@ -4,7 +4,8 @@
 //! In: a calibration, the check on held-out pictures. Out: [`Diagnostic`]s.
 //!
 //! Residuals of pure noise are uncorrelated between neighbours; a bent mirror, a lens of another kind, or undeclared
-//! water leave residuals that are correlated across the picture ([`neighbourhoods`]).
+//! water leave residuals that are correlated across the picture ([`neighbourhoods`]). If something moved, pictures
+//! before and after it see different geometries (`moved.rs`).
 //!
 //! What is known of lens, distances and angles is compared with all the rest, boards taped to walls included.
 //!
@@ -13,10 +14,11 @@
 
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{NoSolution, Solution};
-use crate::calibrate::geometry::bounds;
+use crate::calibrate::geometry::{Parameter, bounds};
 use crate::calibrate::least_squares::sigmas;
 use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::held_out::{HeldOut, LengthErrors};
+use crate::calibrate::rig::moved::{Moved, moved};
 use nalgebra::{DMatrix, DVector, Point2, Vector2};
 use std::collections::BTreeMap;
 
@@ -34,6 +36,22 @@ const REDUNDANT: f64 = 1e-3;
 /// A reason.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Diagnostic {
+    /// Pictures before and after a moment that see different geometries.
+    #[error(
+        "something moved between {before} and {after}, by its looks {what}: the pictures before and after show two \
+         geometries, {times:.1} times as far apart as their scatter explains. Errors are larger than stated: take the \
+         pictures again, or use those of one side alone"
+    )]
+    Moved {
+        /// What: a camera that turns often looks like a mirror that does.
+        what: String,
+        /// Name of the last picture before it.
+        before: String,
+        /// Name of the first picture after it.
+        after: String,
+        /// Difference, relative to the scatter.
+        times: f64,
+    },
     /// Correlated residuals.
     #[error(
         "corners of the {view} view that are neighbours are off together, {times:.1} times as much as noise explains: \
@@ -46,6 +64,12 @@ pub enum Diagnostic {
         /// Length of the neighbourhoods' means, relative to noise.
         times: f64,
     },
+    /// A lens without σ.
+    #[error(
+        "the rig file has no covariance of the lens (calibrate camera writes it): the lens is taken as exact, and no σ \
+         contains its errors"
+    )]
+    ExactLens,
     /// Wrong lengths.
     #[error(
         "lengths of {nominal_mm:.0} mm on held-out boards are off {times:.1} times as much as noise explains: is the \
@@ -97,6 +121,14 @@ pub(crate) struct Neighbourhood {
 /// All reasons to doubt the verdict.
 pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Vec<Diagnostic> {
     let mut doubts = Vec::new();
+    if let Some(Moved { what, picture, evidence }) = moved(&done.solution) {
+        let name = |picture: usize| done.solution.names.get(picture).cloned().unwrap_or_default();
+        let (before, after) = (name(picture.saturating_sub(1)), name(picture));
+        doubts.push(Diagnostic::Moved { what, before, after, times: evidence.sqrt() });
+    }
+    if !done.solution.free.contains(&Parameter::Focal(0)) {
+        doubts.push(Diagnostic::ExactLens);
+    }
     for (view, (name, _)) in done.solution.geometry.views.iter().enumerate() {
         if let Some(times) = neighbour_correlation(&residuals(done, view)).filter(|times| *times > CORRELATED_ABOVE) {
             doubts.push(Diagnostic::Together { view: name.clone(), times });
@@ -113,19 +145,27 @@ pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> 
         doubts.push(Diagnostic::Stretched { percent: 100.0 * stretch, sd_percent: 100.0 * sd });
     }
     for known in &done.solution.known {
-        if let Some(off) = contradiction(&done.solution, known).filter(|off| *off > CONTRADICTION_SD) {
+        if let Some(Compared { off, .. }) = compared(&done.solution, known).filter(|rest| rest.off > CONTRADICTION_SD) {
             doubts.push(Diagnostic::Prior { what: known.what(&done.solution.geometry), off });
         }
     }
     doubts
 }
 
-/// Distance of a prior from the result of everything else, in their combined standard deviations. `None` when the rest
-/// has next to no information.
+/// A prior against the result of everything else.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Compared {
+    /// How far they are apart, in their combined standard deviations.
+    pub off: f64,
+    /// σ of what everything else says, in σ of the prior; `None` for a prior of several numbers.
+    pub rest_sd: Option<f64>,
+}
+
+/// Compares a prior with everything else. `None` when that has next to no information.
 ///
 /// A prior's residual is small where the pictures have little information, so it is compared with its own covariance.
 /// Poses are taken as solved.
-pub(crate) fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
+pub(crate) fn compared(solution: &Solution, known: &Prior) -> Option<Compared> {
     let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
     let residuals = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.residual));
     let mut by_geometry = DMatrix::zeros(rows.len(), solution.free.len());
@@ -137,11 +177,14 @@ pub(crate) fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
     let one = DMatrix::identity(rows.len(), rows.len());
     let left = (one - seen(&solution.weighted_covariance) * 2.0 + seen(&solution.covariance)).symmetric_eigen();
     let directions = left.eigenvalues.iter().zip(left.eigenvectors.column_iter());
-    let squares: Vec<f64> = directions
+    let (squares, variances): (Vec<f64>, Vec<f64>) = directions
         .filter(|(variance, _)| **variance > REDUNDANT)
-        .map(|(variance, direction)| direction.dot(&residuals).powi(2) / variance)
-        .collect();
-    (!squares.is_empty()).then(|| sigmas(squares.iter().sum(), squares.len()))
+        .map(|(variance, direction)| (direction.dot(&residuals).powi(2) / variance, *variance))
+        .unzip();
+    // With the variance r of the rest, that of the prior being 1, the residual's is 1/(1 + r).
+    let rest_sd = (rows.len() == 1).then(|| variances.first().map(|left| (1.0 / left - 1.0).max(0.0).sqrt()));
+    (!squares.is_empty())
+        .then(|| Compared { off: sigmas(squares.iter().sum(), squares.len()), rest_sd: rest_sd.flatten() })
 }
 
 /// Positions and residuals of a view's corners, pixels.
@@ -186,7 +229,6 @@ pub(crate) fn neighbour_correlation(residuals: &[(Point2<f64>, Vector2<f64>)]) -
 mod tests {
     use super::*;
     use crate::calibrate::bundle::tests::bundle;
-    use crate::calibrate::geometry::Parameter;
     use crate::calibrate::geometry::tests::geometry;
     use crate::testing::random::Random;
 
@@ -213,11 +255,14 @@ mod tests {
             let solved = with.solve().unwrap();
             let Prior::Distance { distance_m, .. } = given(off_m) else { unreachable!() };
             let expected = (says_m - distance_m).abs() / sd_m.hypot(2e-3);
-            let found = contradiction(&solved, &given(off_m)).unwrap();
+            let rest = compared(&solved, &given(off_m)).unwrap();
+            let (found, rest_sd_m) = (rest.off, 2e-3 * rest.rest_sd.unwrap());
+            assert!((rest_sd_m / sd_m - 1.0).abs() < 0.25, "{off_m}: {rest_sd_m}, expected {sd_m}");
             // The correlation within pictures is estimated separately in each.
             assert!((found - expected).abs() < 0.05 + 0.2 * expected, "{off_m}: {found}, expected {expected}");
             // The lens agrees in any case: it was drawn from its stated covariance.
-            assert!(contradiction(&solved, &solved.known[0]).unwrap() < CONTRADICTION_SD);
+            let lens = compared(&solved, &solved.known[0]).unwrap();
+            assert!(lens.off < CONTRADICTION_SD && lens.rest_sd.is_none(), "{lens:?}");
         }
     }
 

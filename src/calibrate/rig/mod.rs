@@ -18,6 +18,7 @@ mod error;
 pub(crate) mod expected_error;
 pub(crate) mod held_out;
 pub(crate) mod initial;
+mod moved;
 mod options;
 pub mod points;
 mod regions;

@@ -466,7 +466,7 @@ fn mirrors_are_as_good_as_they_are_said_to_be_when_corners_are_off_together() {
                 of_mirrors += off * off / done.solution.covariance[(at, at)] / (6 * RUNS) as f64;
             }
         }
-        let off = super::rig::diagnostics::contradiction(&done.solution, &done.solution.known[0]).unwrap();
+        let off = super::rig::diagnostics::compared(&done.solution, &done.solution.known[0]).unwrap().off;
         contradictions += usize::from(off > super::rig::diagnostics::CONTRADICTION_SD);
     }
     println!(

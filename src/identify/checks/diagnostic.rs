@@ -456,7 +456,7 @@ impl fmt::Display for Diagnostic {
             Self::Oversampled { output_hz, rate_hz, factor } => write!(
                 f,
                 "the output moves below {output_hz:.3} Hz and is sampled at {rate_hz:.1} Hz: noise then decides the \
-                 coefficients; --decimate {factor} keeps all that moves"
+                 coefficients of Eq. 6; --decimate {factor} keeps all that moves"
             ),
             Self::OffCentre { what, ratio } => {
                 write!(f, "the mean of the {what} is {ratio:.1} times its spread: --detrend mean takes it off")

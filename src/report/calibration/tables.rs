@@ -6,7 +6,7 @@ use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::calibrate::rig::RigCalibration;
-use crate::calibrate::rig::diagnostics::{CONTRADICTION_SD, contradiction};
+use crate::calibrate::rig::diagnostics::{CONTRADICTION_SD, Compared, compared};
 use crate::calibrate::rig::held_out::{HeldOut, Length, LengthErrors};
 use crate::median::upper_median;
 use nalgebra::DMatrix;
@@ -120,34 +120,42 @@ pub(super) fn known(solution: &Solution) -> String {
     let geometry = &solution.geometry;
     let offset_m = |surface: usize| geometry.value(Parameter::Offset { surface });
     let normal = |surface: usize| geometry.surfaces.get(surface).map(|(_, s)| s.plane().normal());
+    let in_mm = |sd_m: f64| Some((sd_m * 1e3, 2, " mm"));
     let mm = |value_m: f64, sd_m: f64| format!("{:.2} ± {:.2} mm", value_m * 1e3, sd_m * 1e3);
     let rows: Vec<Vec<Html>> = solution
         .known
         .iter()
         .map(|known| {
-            let (given, found) = match known {
-                Prior::Lens { .. } => ("see above".to_owned(), "see above".to_owned()),
+            // Last, σ of what was given, its digits and its unit.
+            let (given, found, sd) = match known {
+                Prior::Lens { .. } => ("see above".to_owned(), "see above".to_owned(), None),
                 Prior::Distance { surface, distance_m, sd_m } => {
-                    (mm(*distance_m, *sd_m), format!("{:.2} mm", offset_m(*surface).abs() * 1e3))
+                    (mm(*distance_m, *sd_m), format!("{:.2} mm", offset_m(*surface).abs() * 1e3), in_mm(*sd_m))
                 }
                 Prior::Square { surfaces: [a, b], sd_rad } => {
                     let angle = normal(*a).zip(normal(*b)).map(|(a, b)| a.angle(&b).to_degrees());
                     let found = angle.map_or("–".to_owned(), |angle| format!("{angle:.3}°"));
-                    (format!("90 ± {:.2}°", sd_rad.to_degrees()), found)
+                    let sd_deg = sd_rad.to_degrees();
+                    (format!("90 ± {sd_deg:.2}°"), found, Some((sd_deg, 2, "°")))
                 }
                 Prior::Apart { surfaces: [a, b], distance_m, sd_m } => {
-                    (mm(*distance_m, *sd_m), format!("{:.2} mm", (offset_m(*a) + offset_m(*b)) * 1e3))
+                    (mm(*distance_m, *sd_m), format!("{:.2} mm", (offset_m(*a) + offset_m(*b)) * 1e3), in_mm(*sd_m))
                 }
                 Prior::IndexInside { index, sd } => {
-                    (format!("{index:.4} ± {sd:.4}"), format!("{:.4}", geometry.value(Parameter::IndexInside)))
+                    let found = format!("{:.4}", geometry.value(Parameter::IndexInside));
+                    (format!("{index:.4} ± {sd:.4}"), found, Some((*sd, 4, "")))
                 }
-                Prior::Taped { thickness_m, sd_m, .. } => (mm(*thickness_m, *sd_m), "–".to_owned()),
+                Prior::Taped { thickness_m, sd_m, .. } => (mm(*thickness_m, *sd_m), "–".to_owned(), None),
             };
-            let off = contradiction(solution, known).map_or(Html::from("–"), |off| {
+            let rest = compared(solution, known);
+            let off = rest.map_or(Html::from("–"), |Compared { off, .. }| {
                 let class = if off > CONTRADICTION_SD { " class=\"miss\"" } else { "" };
                 Html::raw(format!("<span{class}>{off:.1}</span>"))
             });
-            vec![known.what(geometry).into(), given.into(), found.into(), off]
+            let known_to = rest.and_then(|rest| rest.rest_sd).zip(sd);
+            let known_to = known_to
+                .map_or("–".to_owned(), |(rest, (sd, digits, unit))| format!("± {:.digits$}{unit}", rest * sd));
+            vec![known.what(geometry).into(), given.into(), found.into(), known_to.into(), off]
         })
         .collect();
     if rows.is_empty() {
@@ -155,8 +163,9 @@ pub(super) fn known(solution: &Solution) -> String {
     }
     format!(
         "<h3>What else was known</h3>\n<p>Off: how far what was given is from what everything else says, in σ of the \
-         two together. Above {CONTRADICTION_SD} the pictures contradict it: measure again.</p>\n{}",
-        table(1, &["What", "Given", "Came out", "Off (σ)"], &rows)
+         two together. Above {CONTRADICTION_SD} the pictures contradict it: measure again. Where everything else would \
+         know it worse by far, a mistake in what was given is not noticed.</p>\n{}",
+        table(1, &["What", "Given", "Came out", "All else knows it to", "Off (σ)"], &rows)
     )
 }
 

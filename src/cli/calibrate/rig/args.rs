@@ -6,7 +6,7 @@ use crate::calibrate::board::Board;
 use crate::calibrate::rig::{RigOptions, Tank, water_index};
 use crate::rig::Draft;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 /// Prior σ of the index when it is fitted.
@@ -126,10 +126,13 @@ impl FromStr for TapedTo {
             )
         };
         let (wall, rest) = text.split_once('=').ok_or_else(wrong)?;
-        // A name of a file may have a colon, too.
-        let with_thickness =
-            rest.rsplit_once(':').and_then(|(picture, thickness)| Some((picture, thickness.parse::<Length>().ok()?.0)));
-        let (picture, thickness_m) = with_thickness.unwrap_or((rest, 0.0));
+        let (picture, thickness_m) = match rest.rsplit_once(':') {
+            // A name of a file may have a colon, too, but before its ending.
+            Some((picture, thickness)) if Path::new(picture).extension().is_some() => {
+                (picture, thickness.parse::<Length>()?.0)
+            }
+            _ => (rest, 0.0),
+        };
         Ok(Self { wall: wall.trim().to_owned(), picture: picture.into(), thickness_m })
     }
 }
@@ -189,6 +192,17 @@ mod tests {
         }
         for text in ["front_wall", "front_wall=12mm", "front_wall=12:2mm", "front_wall=12mm:0mm"] {
             assert!(text.parse::<Distance>().unwrap_err().contains("1265mm:2mm"), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_taped_board_has_a_picture_and_may_have_a_thickness() {
+        let taped = |text: &str| text.parse::<TapedTo>().map(|t| (t.picture, t.thickness_m));
+        assert_eq!(taped("front_wall=a.png"), Ok(("a.png".into(), 0.0)));
+        assert_eq!(taped("front_wall=a.png:3mm"), Ok(("a.png".into(), 3e-3)));
+        assert_eq!(taped("front_wall=12:30.png"), Ok(("12:30.png".into(), 0.0)));
+        for text in ["front_wall=a.png:3", "front_wall=a.png:3in", "front_wall=a.png:"] {
+            assert!(taped(text).unwrap_err().contains("3.2mm"), "{text}");
         }
     }
 }

@@ -42,10 +42,6 @@ pub(super) fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdi
             mm(offset_by_noise)
         );
     }
-    if options.lens_covariance.is_none() {
-        text +=
-            "\nthe rig file has no covariance of the lens (calibrate camera writes it): the lens is taken as exact\n";
-    }
     if options.index_sd.is_some() {
         let _ = writeln!(
             text,
