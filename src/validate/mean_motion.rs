@@ -17,6 +17,8 @@ use std::f64::consts::TAU;
 const HARMONICS: usize = 50;
 /// Points per harmonic, of all periods together, at least.
 const POINTS: usize = 8;
+/// Harmonics of a motion, for each of its path: a catheter is not quite linear.
+const MADE: usize = 3;
 /// A path has the harmonics with this part of the power of its largest.
 const LEAST_POWER: f64 = 1e-4;
 /// Rounds in turns.
@@ -45,10 +47,15 @@ impl Shifted {
 }
 
 /// Improves lags and offsets of periods of `length` commands.
-pub(super) fn align(periods: &mut [Shifted], length: usize) {
+///
+/// The common motion has as many harmonics as a catheter makes of the path's: with more, its slope is mostly noise, and
+/// so are the lags.
+pub(super) fn align(periods: &mut [Shifted], path: &[Point3<f64>]) {
+    let length = path.len();
+    let of_path = MADE * harmonics(path);
     for _ in 0..ROUNDS {
         let points: usize = periods.iter().map(|period| period.points.len()).sum();
-        let harmonics = (length / 4).min(points / POINTS).clamp(1, HARMONICS);
+        let harmonics = of_path.min(length / 4).min(points / POINTS).clamp(1, HARMONICS);
         let Some(motion) = Motion::through(periods, length, harmonics) else { return };
         periods.iter_mut().for_each(|period| motion.shift(period));
     }
@@ -207,7 +214,8 @@ mod tests {
                 offset_m: Vector3::zeros(),
             })
             .collect();
-        align(&mut periods, length);
+        let path: Vec<Point3<f64>> = (0..length).map(|k| place(k as f64).into()).collect();
+        align(&mut periods, &path);
         for (period, (lag, offset)) in periods.iter().zip(shifts) {
             let (lag_off, offset_off) = (period.lag - periods[0].lag - lag, period.offset_m - periods[0].offset_m);
             assert!(lag_off.abs() < 1e-3, "{lag}: {}", period.lag);

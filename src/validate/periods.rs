@@ -118,7 +118,7 @@ impl Periods {
         let largest_m = all.iter().map(Shifted::size_m).fold(0.0, f64::max);
         let (mut moving, still): (Vec<Shifted>, Vec<Shifted>) =
             all.into_iter().partition(|period| period.size_m() >= STILL * largest_m);
-        align(&mut moving, length);
+        align(&mut moving, &path.points);
         let moving = moving.iter().map(|shifted| period(shifted, length, sd_m, frames)).collect();
         Some(Self { changes: Changes::of(moving), still: still.iter().map(|period| period.number).collect() })
     }

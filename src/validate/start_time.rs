@@ -2,8 +2,10 @@
 //!
 //! - From the frames' ticks: the first change of the command count. If commands are slow enough for the count, a line
 //!   through the times of all of them gives start and pause, which an amplifier keeps to a few parts in a thousand.
-//! - From the coil currents in the log: the first time at which a current differs from the first one logged, or the
-//!   first one itself if it is not zero and changes within 1.5 pauses.
+//! - From the coil currents in the log: the time from which on they repeat with the period of the path, as often as it
+//!   was commanded. A test pulse before it, a first point that is held, or one without current do not matter. Currents
+//!   that do not repeat, or a single period, start at the first change: when a current differs from the first one
+//!   logged, or with that one itself if it is not zero and changes within 1.5 pauses.
 //! - Otherwise by a search over the record: the start at which the observed motion correlates best with the whole
 //!   commanded one. That absorbs the catheter's lag: such a start gives no phase, and errors also exclude the lag. As
 //!   it is late by the lag, the last commands would end after the true ones, where the catheter returns to rest; so the
@@ -47,6 +49,8 @@ const POINTS_EVALUATED: usize = 400;
 const MAX_STARTS: i64 = 10_000;
 /// Currents that differ by less count as equal, amperes.
 const CURRENT_TOLERANCE_A: f64 = 1e-6;
+/// Largest part of the commands that may differ from those of the next period: messages are lost, or late.
+const MAX_UNLIKE: f64 = 0.05;
 /// Pauses from ticks that differ from the requested one by more than this fraction belong to other commands.
 const PAUSE_TOLERANCE: f64 = 0.05;
 
@@ -81,14 +85,101 @@ pub(super) fn from_ticks(
     Ok(Some((start_ns, measured_ns.round() as i64, fewer)))
 }
 
+/// The start by the coil currents, camera time, and a note about it; `None` if they never change.
+pub(super) fn from_currents(currents: &[Current], path: &DesiredPath, pause_ns: i64) -> Option<(i64, Option<String>)> {
+    let change_ns = first_change(currents, pause_ns)?;
+    if path.periods < 2 {
+        return Some((change_ns, None));
+    }
+    let Some(Repeating { start_ns, may_be_later }) = Repeating::of(currents, path, pause_ns) else {
+        let note = "the currents do not repeat with the period of the path: the start is their first change; check \
+                    --pause, --periods and --points-per-period";
+        return Some((change_ns, Some(note.to_owned())));
+    };
+    let note = if may_be_later {
+        Some(format!(
+            "by the currents the first command is that at {:.3} s, or the one after it: the path begins or ends \
+             with the current before it; if it is the later one, --start {:.3}",
+            seconds(start_ns),
+            seconds(start_ns + pause_ns)
+        ))
+    } else {
+        let is_other = 2 * (change_ns - start_ns).abs() > pause_ns;
+        (is_other && change_ns < start_ns).then(|| {
+            format!(
+                "the currents repeat with the path from {:.3} s on: what they do before, from {:.3} s on, is no part \
+                 of it",
+                seconds(start_ns),
+                seconds(change_ns)
+            )
+        })
+    };
+    Some((start_ns, note))
+}
+
+/// Commands whose currents repeat from period to period.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Repeating {
+    /// The first of them.
+    start_ns: i64,
+    /// Whether it may be the one after it: they repeat from there on as well.
+    may_be_later: bool,
+}
+
+impl Repeating {
+    /// The first command may be a change of the currents, or one command before it, if it changes nothing.
+    fn of(currents: &[Current], path: &DesiredPath, pause_ns: i64) -> Option<Self> {
+        let known: Vec<(i64, &[f64])> =
+            currents.iter().filter_map(|current| Some((current.stamp_ns?, &current.values_a[..]))).collect();
+        let at = |ns: i64| known.get(known.partition_point(|(from_ns, _)| *from_ns <= ns).checked_sub(1)?);
+        let (first, later) = ((path.periods - 1) * path.points.len(), path.points.len() as i64 * pause_ns);
+        let most = (first as f64 * MAX_UNLIKE) as usize;
+        // How many commands of all periods but the last are not as one period later; `None` if more than `most`, or if
+        // nothing moves.
+        let unlike = |start_ns: i64| {
+            let (mut unlike, mut moves) = (0, false);
+            let begin = at(start_ns + pause_ns / 2)?;
+            for k in 0..first as i64 {
+                let middle_ns = start_ns + k * pause_ns + pause_ns / 2;
+                let (own, next) = (at(middle_ns)?, at(middle_ns + later)?);
+                moves |= is_other(own.1, begin.1);
+                unlike += usize::from(is_other(own.1, next.1));
+                if unlike > most {
+                    return None;
+                }
+            }
+            moves.then_some(unlike)
+        };
+        let mut last: &[f64] = &[];
+        let changes = known.iter().filter(|(_, values)| is_other(values, std::mem::replace(&mut last, values)));
+        let starts = changes.flat_map(|(ns, _)| [*ns, ns - pause_ns]);
+        let mut found: Vec<(usize, i64)> = starts.filter_map(|ns| Some((unlike(ns)?, ns))).collect();
+        // Of those that repeat best, the first in time.
+        found.sort_unstable();
+        let (least, first_ns) = *found.first()?;
+        let is_next = |ns: i64| 2 * (ns - first_ns) > pause_ns && 2 * (ns - first_ns) < 3 * pause_ns;
+        let repeats_later = found.iter().any(|(unlike, ns)| *unlike == least && is_next(*ns));
+        // A log of all commands, not of changes alone, tells which is the first of them.
+        let logged = |ns: i64| {
+            let near = known.iter().map(|(own_ns, _)| *own_ns).filter(|own_ns| 4 * (own_ns - ns).abs() < pause_ns);
+            near.min_by_key(|own_ns| (own_ns - ns).abs())
+        };
+        let begins_the_log = logged(first_ns).is_some() && logged(first_ns - pause_ns).is_none();
+        let may_be_later = repeats_later && !begins_the_log;
+        Some(Self { start_ns: logged(first_ns).unwrap_or(first_ns), may_be_later })
+    }
+}
+
+/// Whether currents differ.
+fn is_other(a: &[f64], b: &[f64]) -> bool {
+    a.len() != b.len() || a.iter().zip(b).any(|(a, b)| (a - b).abs() > CURRENT_TOLERANCE_A)
+}
+
 /// The first change of a coil current, camera time; or the first current itself if it is not zero and not held longer
 /// than a command: then it is one.
-pub(super) fn from_currents(currents: &[Current], pause_ns: i64) -> Option<i64> {
+fn first_change(currents: &[Current], pause_ns: i64) -> Option<i64> {
     let first = currents.first()?;
-    let differs = |current: &&Current| {
-        let mut pairs = current.values_a.iter().zip(&first.values_a);
-        pairs.any(|(a, b)| (a - b).abs() > CURRENT_TOLERANCE_A) || current.values_a.len() != first.values_a.len()
-    };
+    let differs = |current: &&Current| is_other(&current.values_a, &first.values_a);
     let change_ns = currents.iter().find(differs).and_then(|current| current.stamp_ns)?;
     let flows = first.values_a.iter().any(|value| value.abs() > CURRENT_TOLERANCE_A);
     let is_command = |first_ns: &i64| flows && 2 * change_ns.saturating_sub(*first_ns) <= 3 * pause_ns;
@@ -149,17 +240,68 @@ fn correlation(curve: &Curve, commands: &[(f64, Vector3<f64>)], offset_s: f64) -
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::validate::plane::Plane;
+    use nalgebra::Point3;
 
     #[test]
     fn a_first_current_is_a_command_when_it_flows_and_changes_soon() {
         let logged = |currents: &[(i64, f64)]| {
             let of = |(ns, a): &(i64, f64)| Current { host_ns: None, stamp_ns: Some(*ns), values_a: vec![0.0, *a] };
-            from_currents(&currents.iter().map(of).collect::<Vec<_>>(), 100)
+            first_change(&currents.iter().map(of).collect::<Vec<_>>(), 100)
         };
         assert_eq!(logged(&[(5, 0.0), (100, 0.0), (200, 0.01), (300, 0.02)]), Some(200));
         assert_eq!(logged(&[(200, 0.01), (300, 0.02)]), Some(200));
         assert_eq!(logged(&[(200, 0.01), (900, 0.01), (1000, 0.02)]), Some(1000));
         assert_eq!(logged(&[(200, 0.01), (900, 0.01)]), None);
         assert_eq!(logged(&[]), None);
+    }
+
+    /// Currents of a path of eight points, seven periods of it, one message for each command; then it returns to rest.
+    fn commanded(period_ma: [i32; 8], before: &[(i64, i32)]) -> Vec<Current> {
+        let commands = (0..56).map(|k| (1000 + 100 * k as i64, period_ma[k % 8]));
+        let all = before.iter().copied().chain(commands).chain([(6600, 0)]);
+        let of = |(ns, ma)| Current { host_ns: None, stamp_ns: Some(ns), values_a: vec![f64::from(ma) * 1e-3] };
+        all.map(of).collect()
+    }
+
+    fn path(periods: usize) -> DesiredPath {
+        let points: Vec<Point3<f64>> =
+            (0..8).map(|k| Point3::new(f64::from(k).cos(), f64::from(k).sin(), 0.0)).collect();
+        let plane = Plane::through(&points).unwrap();
+        DesiredPath { file: "path.csv".into(), points, tangents: None, periods, plane, circle: None }
+    }
+
+    #[test]
+    fn currents_that_repeat_tell_the_start_whatever_was_before() {
+        let (from_zero, from_five) = ([0, 3, 5, 3, 0, -3, -5, -3], [5, 3, 0, -3, -5, -3, 0, 3]);
+        let start_ns =
+            |period, before: &[(i64, i32)]| from_currents(&commanded(period, before), &path(7), 100).unwrap().0;
+        assert_eq!(start_ns(from_zero, &[(200, 0)]), 1000, "the first point has no current");
+        assert_eq!(start_ns(from_five, &[(200, 0), (600, 5)]), 1000, "the first point is held");
+        assert_eq!(start_ns(from_five, &[(200, 5)]), 1000, "the log begins with the first point");
+        assert_eq!(start_ns(from_five, &[(0, 0), (200, 10), (250, 0)]), 1000, "a pulse");
+        assert_eq!(start_ns(from_five, &[]), 1000, "nothing");
+        assert_eq!(start_ns(from_five, &[(200, 0), (400, 0)]), 1000, "rest");
+        // Messages up to 20 % of a pause late, and one lost.
+        let mut late = commanded(from_five, &[(200, 0)]);
+        late.iter_mut().skip(2).step_by(3).for_each(|current| current.stamp_ns = current.stamp_ns.map(|ns| ns + 20));
+        late.remove(9);
+        assert_eq!(from_currents(&late, &path(7), 100).unwrap(), (1000, None));
+    }
+
+    #[test]
+    fn a_start_that_currents_leave_open_is_told() {
+        // Only changes are logged: the first command, without current, is none.
+        let mut changes = commanded([0, 3, 5, 3, 0, -3, -5, -3], &[(200, 0)]);
+        changes.remove(1);
+        let (start_ns, note) = from_currents(&changes, &path(7), 100).unwrap();
+        assert_eq!(start_ns, 1000);
+        assert!(note.unwrap().contains("or the one after it"));
+        // What does not repeat starts at its first change.
+        let other = [(0, 0), (700, 4), (800, 1), (900, 7), (1500, 2)].map(|(ns, ma)| (ns, ma));
+        let of = |(ns, ma)| Current { host_ns: None, stamp_ns: Some(ns), values_a: vec![f64::from(ma) * 1e-3] };
+        let (start_ns, note) = from_currents(&other.map(of), &path(7), 100).unwrap();
+        assert_eq!(start_ns, 700);
+        assert!(note.unwrap().contains("do not repeat"));
     }
 }

@@ -80,10 +80,14 @@ pub(super) fn timing<'a>(
         Some(_) => None,
         None => start_time::from_ticks(recording, pause_ns, path.commands())?,
     };
-    let note = by_ticks.as_ref().and_then(|(_, _, note)| note.clone());
+    let mut note = by_ticks.as_ref().and_then(|(_, _, note)| note.clone());
     let pause_ns = by_ticks.as_ref().map_or(pause_ns, |(_, pause_ns, _)| *pause_ns);
     let ticked = by_ticks.map(|(ns, ..)| (ns, StartFrom::Ticks));
-    let logged = || start_time::from_currents(&recording.currents, pause_ns).map(|ns| (ns, StartFrom::Currents));
+    let logged = || {
+        let (ns, about) = start_time::from_currents(&recording.currents, path, pause_ns)?;
+        note = about;
+        Some((ns, StartFrom::Currents))
+    };
     let mut start_correlation = None;
     let after_search = start_time::commands_after_search(path, options.skip);
     let searched = || {

@@ -1,11 +1,10 @@
 //! Parameters fitted to the pictures: places of the bands along the tube, blur of the lens, offset and reach of the
 //! chroma samples, gamma, exposure.
 
-use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped, clipped_mean};
+use crate::calibrate::markers::compared::{Compared, clipped};
 use crate::calibrate::markers::line_search::minimise;
-use crate::calibrate::markers::{MarkersError, track, view_blurs};
-use crate::estimate::{Estimate, MarkerEstimate};
-use crate::median::upper_median;
+use crate::calibrate::markers::{MarkersError, motion_blur, track, view_blurs};
+use crate::estimate::Estimate;
 use crate::rig::{Camera, Marker, Rig};
 use crate::source::{Frame, Picture, Timestamp};
 use crate::track::LONGEST_EXPOSURE;
@@ -24,13 +23,6 @@ const SLIP_STEPS: usize = 3;
 const NO_ARC: f64 = 0.2;
 /// Least σ of the distance of two bands in one frame, metres.
 const MIN_SD_M: f64 = 0.05e-3;
-/// Number of exposures tried, from zero to the whole interval between two frames.
-const EXPOSURES: usize = 9;
-/// Pairs of frames that it is fitted to, the fastest; the least that counts, in σ and as a fraction of the interval:
-/// blur over a tenth of the motion is negligible.
-const EXPOSURE_PAIRS: usize = 24;
-const MIN_EXPOSURE_SDS: f64 = 3.0;
-const MIN_EXPOSURE: f64 = 0.1;
 /// Where the search for blur begins, and its step, pixels.
 const FIRST_BLUR_PX: f64 = 0.6;
 const BLUR_STEP_PX: f64 = 0.1;
@@ -239,7 +231,7 @@ pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Resu
         sharpen(rig, frames, followers, reach);
     }
     if rig.camera.exposure_s.is_none() {
-        rig.camera.exposure_s = exposure_s(rig, frames, followers)?;
+        rig.camera.exposure_s = motion_blur::exposure_s(rig, frames, followers)?;
         if rig.camera.exposure_s.is_some() {
             sharpen(rig, frames, followers, reach);
         }
@@ -367,61 +359,6 @@ fn interval_s(frames: &[Frame], followers: &[Frame]) -> Option<f64> {
     stamps.sort_by_key(|stamp| stamp.ns);
     let steps = stamps.windows(2).filter_map(|pair| Some(pair.get(1)?.seconds_since(*pair.first()?)));
     steps.filter(|step_s| *step_s > 0.0).min_by(f64::total_cmp)
-}
-
-/// Exposure of the pictures, seconds, from the motion blur of the frames in which the tube moves fastest; `None` when
-/// it cannot be seen: too little motion, or too short an exposure.
-fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option<f64>, MarkersError> {
-    let mut all: Vec<&Frame> = frames.iter().chain(followers).collect();
-    all.sort_by_key(|frame| frame.stamp.ns);
-    let mut moving = Vec::new();
-    for pair in all.windows(2) {
-        let (frame, next) = (pair[0], pair[1]);
-        let since_s = next.stamp.seconds_since(frame.stamp);
-        if !(since_s > 0.0 && since_s < LONGEST_PAIR_S) {
-            continue;
-        }
-        let mut tracker = Tracker::new(rig, TrackOptions::default())?;
-        let (before, after) = (tracker.step(frame)?, tracker.step(next)?);
-        let markers = before.markers.iter().zip(&after.markers);
-        let way = |(a, b): (&MarkerEstimate, &MarkerEstimate)| {
-            Some((b.position.as_ref().ok()?.point - a.position.as_ref().ok()?.point).norm())
-        };
-        let ways: Option<Vec<f64>> = markers.map(way).collect();
-        if let Some(ways) = ways {
-            moving.push((ways.into_iter().fold(0.0, f64::max), since_s, frame, next));
-        }
-    }
-    moving.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let Some(&(_, interval_s, ..)) = moving.first() else { return Ok(None) };
-    let step_s = interval_s / (EXPOSURES - 1) as f64;
-    // How well each exposure fits each pair; a pair that one of them cannot fit at all is not used.
-    let curve = |(_, _, before, frame): &(f64, f64, &Frame, &Frame)| -> Option<Vec<f64>> {
-        let misfit = |i: usize| {
-            let mut changed = rig.clone();
-            changed.camera.exposure_s = Some(i as f64 * step_s);
-            Tracker::new(&changed, TrackOptions::default()).ok()?.misfit_after(before, frame)
-        };
-        let misfits = (0..EXPOSURES).map(misfit).collect::<Option<Vec<_>>>()?;
-        let middle = upper_median(misfits.iter().copied())?;
-        Some(misfits.iter().map(|misfit| misfit - middle).collect())
-    };
-    let curves: Vec<Vec<f64>> = moving.iter().filter_map(curve).take(EXPOSURE_PAIRS).collect();
-    if curves.len() < 2 * PARTS {
-        return Ok(None);
-    }
-    let parts: Vec<f64> = (0..PARTS)
-        .filter_map(|part| {
-            let all = |i: usize| curves.iter().skip(part).step_by(PARTS).map(|curve| curve[i]).collect::<Vec<_>>();
-            let at = |s: f64| Some(clipped_mean(&all((s / step_s).round() as usize)));
-            Some(minimise(step_s * (EXPOSURES / 2) as f64, step_s, (0.0, interval_s * (1.0 + 1e-9)), at)?.at)
-        })
-        .collect();
-    let (mean, sd) = mean_with_sd(&parts);
-    tracing::debug!("exposure from thirds of {} pairs of frames: {parts:?} s", curves.len());
-    let seen = mean > MIN_EXPOSURE_SDS * sd && mean > MIN_EXPOSURE * interval_s;
-    // Microseconds are beyond the accuracy.
-    Ok(seen.then(|| (mean * 1e6).round() / 1e6))
 }
 
 /// At most `count` of the frames, spread evenly.

@@ -23,6 +23,7 @@ mod learned;
 mod line_search;
 pub(crate) mod locate;
 mod measures;
+mod motion_blur;
 mod pick;
 mod regions;
 mod samples;

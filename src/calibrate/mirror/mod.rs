@@ -143,8 +143,10 @@ pub enum MirrorError {
     NoScale,
     /// Too few bands are seen.
     #[error(
-        "bands are seen in two views at once in only {seen} of {frames} frames; at least {MIN_FRAMES} are needed: is \
-         the rig that of the recording, and a length of --length that of the bands?"
+        "bands are told from all else in two views at once in only {seen} of {frames} frames; at least {MIN_FRAMES} \
+         are needed. Are other things of the bands' colours in the views (a smaller `region_px` leaves them out; \
+         while the mirror is not known, rays tell nothing apart)? Is the rig that of the recording, and a length of \
+         --length that of the bands?"
     )]
     TooFew {
         /// Frames with such bands.
@@ -153,7 +155,10 @@ pub enum MirrorError {
         frames: usize,
     },
     /// The start or the adjustment has no solution.
-    #[error("no position of the mirror fits what the views show; was more than the mirror moved?")]
+    #[error(
+        "no position of the mirror fits what the views show: was more than the mirror moved, or is another thing of a \
+         band's colour in a view?"
+    )]
     NoAnswer,
     /// The views still contradict each other.
     #[error(

@@ -233,7 +233,7 @@ pub(crate) fn fit_with_progress(
         found = Some((start, wanted.clone(), result));
     }
     if options.only_still {
-        let (start, parameters, result) = found.ok_or_else(|| wrong(&still::no_pause(options.settle_s)))?;
+        let (start, parameters, result) = found.ok_or_else(|| wrong(&still::no_pause(options.settle_s, unsettled)))?;
         // Shapes at rest tell nothing of these.
         open.extend(moving.into_iter().map(|parameter| Open { parameter, with: Vec::new() }));
         let fit = result_of(&start, delay_s, &parameters, result, &[], (pauses, unsettled, noise, open, false));

@@ -8,6 +8,8 @@ use crate::catheter::load::Load;
 use crate::catheter::model::Catheter;
 use crate::catheter::record::{Noise, Sighting};
 use crate::catheter::shape::Shape;
+use crate::median::median;
+use crate::plural::plural;
 use nalgebra::{DVector, Point3, Vector3};
 
 /// Fewer frames than this say nothing of their scatter.
@@ -17,9 +19,21 @@ const MIN_PAUSES: usize = 3;
 /// A pause whose halves differ by more than so many σ of the difference, and by more than this part of the scatter, has
 /// not settled.
 const UNSETTLED: (f64, f64) = (5.0, 0.5);
+/// What settles moves more at first: the square of the way within the first half over that within the second, of all
+/// pauses, above which slow noise is not the reason why halves differ.
+const SETTLES: f64 = 2.5;
+/// Median length of a vector of three normal numbers.
+const MEDIAN_OF_THREE: f64 = 1.538;
 
-/// That pauses have too few frames.
-pub(super) fn no_pause(settle_s: f64) -> String {
+/// That pauses have too few frames, or that in none of them, so many, the catheter had come to rest.
+pub(super) fn no_pause(settle_s: f64, unsettled: usize) -> String {
+    if unsettled > 0 {
+        return format!(
+            "in none of {} the catheter had come to rest after the first {settle_s} s (--settle): hold the currents \
+             longer, and let it settle for longer",
+            plural(unsettled as u64, "pause")
+        );
+    }
     format!(
         "no pause has {} frames with coil, tip and direction after the first {settle_s} s (--settle): hold the \
          currents longer, at more frames per second, or let them settle for less time",
@@ -103,12 +117,58 @@ impl Squares {
     }
 }
 
+/// A pause that is long enough.
+struct Long {
+    pause: Pause,
+    /// Squares of the differences of successive frames.
+    own: Squares,
+    /// Means of its halves: coil, tip and direction.
+    halves: [[Vector3<f64>; 3]; 2],
+    /// Squared way of the tip from the first half of each half to its second, m².
+    ways_m2: [f64; 2],
+    /// Noise of the tip in a frame, metres.
+    sd_m: f64,
+}
+
+impl Long {
+    fn apart_m(&self) -> f64 {
+        (self.halves[0][1] - self.halves[1][1]).norm()
+    }
+
+    /// Distance of the halves in σ of white noise.
+    fn apart_sds(&self) -> f64 {
+        self.apart_m() / (self.sd_m * 2.0 / (self.pause.frames as f64).sqrt())
+    }
+}
+
 /// Pauses of all runs that last longer than `settle_s`, and the noise in them. What differs by no more than the noise
-/// that the tracker states has settled.
+/// that the tracker states has settled. Slow noise makes halves differ by more than that of frames: by how much, all
+/// pauses tell, unless they move more at first.
 pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) -> AtRest {
-    let mut pauses = Vec::new();
-    let mut unsettled = 0;
+    let long = long_pauses(runs, settle_s, delay_s, stated);
+    let [first, second] = [0, 1].map(|half| long.iter().map(|long| long.ways_m2[half]).sum::<f64>());
+    let usual =
+        median(long.iter().map(Long::apart_sds)).filter(|_| long.len() >= MIN_PAUSES && first < SETTLES * second);
+    let slow = usual.map_or(1.0, |usual| (usual / MEDIAN_OF_THREE).max(1.0));
+    let is_settled =
+        |long: &Long| long.apart_sds() <= UNSETTLED.0 * slow || long.apart_m() <= UNSETTLED.1 * slow * long.sd_m;
+    let (settled, unsettled): (Vec<Long>, Vec<Long>) = long.into_iter().partition(is_settled);
     let (mut of_frames, mut of_means) = (Squares::default(), Squares::default());
+    for Long { pause, own, halves: [early, late], .. } in &settled {
+        of_frames.add_all(own);
+        of_means.add(std::iter::once([early, late]), 4.0 / pause.frames as f64);
+    }
+    let of_means = of_means.noise().filter(|_| settled.len() >= MIN_PAUSES);
+    AtRest {
+        pauses: settled.into_iter().map(|long| long.pause).collect(),
+        unsettled: unsettled.len(),
+        of_frames: of_frames.noise(),
+        of_means,
+    }
+}
+
+fn long_pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) -> Vec<Long> {
+    let mut long = Vec::new();
     for (index, run) in runs.iter().enumerate() {
         let last_s = run.sightings.last().map_or(0.0, |s| s.time_s);
         let (first_s, _) = run.commands.span_s();
@@ -122,22 +182,17 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) 
             if seen.len() < 2 * MIN_FRAMES {
                 continue;
             }
-            let n = seen.len() as f64;
             // Noise by differences from frame to frame: what still creeps is none.
             let mut own = Squares::default();
             own.add(seen.iter().zip(seen.iter().skip(1)).map(|(a, b)| [&a.all, &b.all]), 2.0);
             let sd_m = own.noise().map_or(0.0, |noise| noise.point_m).max(stated.point_m);
             let (early, late) = seen.split_at(seen.len() / 2);
-            let halves = [mean(early), mean(late)];
-            let apart = (halves[0][1] - halves[1][1]).norm();
-            if apart > UNSETTLED.0 * sd_m * 2.0 / n.sqrt() && apart > UNSETTLED.1 * sd_m {
-                unsettled += 1;
-                continue;
-            }
-            of_frames.add_all(&own);
-            of_means.add(std::iter::once([&halves[0], &halves[1]]), 4.0 / n);
+            let way_m2 = |half: &[Seen]| {
+                let (first, second) = half.split_at(half.len() / 2);
+                (mean(first)[1] - mean(second)[1]).norm_squared()
+            };
             let [coil, tip, tangent] = mean(&seen);
-            pauses.push(Pause {
+            let pause = Pause {
                 run: index,
                 from_s: seen.first().map_or(0.0, |s| s.time_s),
                 frames: seen.len(),
@@ -145,11 +200,12 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) 
                 coil: coil.into(),
                 tip: tip.into(),
                 tangent: tangent.normalize(),
-            });
+            };
+            let halves = [mean(early), mean(late)];
+            long.push(Long { pause, own, halves, ways_m2: [early, late].map(way_m2), sd_m });
         }
     }
-    let of_means = of_means.noise().filter(|_| pauses.len() >= MIN_PAUSES);
-    AtRest { pauses, unsettled, of_frames: of_frames.noise(), of_means }
+    long
 }
 
 /// The shapes of pauses as a model has them.

@@ -33,6 +33,19 @@ pub enum Choice {
     },
 }
 
+impl Choice {
+    /// The same, with the past outputs and inputs of one: only the delay is searched.
+    pub(in crate::identify) fn of_orders(&self, found: Orders) -> Self {
+        match self {
+            Self::Fixed(orders) => Self::Fixed(*orders),
+            Self::Search { candidates, criterion } => {
+                let is_like = |orders: &&Orders| (orders.na, orders.nb) == (found.na, found.nb);
+                Self::Search { candidates: candidates.iter().filter(is_like).copied().collect(), criterion: *criterion }
+            }
+        }
+    }
+}
+
 /// Settings of an identification.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {

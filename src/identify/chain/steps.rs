@@ -72,7 +72,7 @@ pub(crate) fn identify_with_progress(
 /// Those of the first.
 fn taken_off(data: &Data, settings: &Settings) -> Result<Option<Data>, IdentifyError> {
     let mut found = identify_held(data, &data.training, settings, &|_| {})?;
-    let orders = Settings { choice: Choice::Fixed(found.orders), ..settings.clone() };
+    let orders = Settings { choice: settings.choice.of_orders(found.orders), ..settings.clone() };
     let mut held = None;
     for pass in 1..=PASSES {
         let refined = found.models.iter().find(|model| model.role == Role::Refined);

@@ -58,6 +58,16 @@ pub(crate) enum RecordedError {
         /// The requested one.
         coil: usize,
     },
+    /// A command that is none.
+    #[error("{name}: the current of coil {coil} at {at_s:.3} s of the camera's clock is not a number")]
+    NotANumber {
+        /// The recording or table.
+        name: String,
+        /// Which coil.
+        coil: usize,
+        /// When, seconds.
+        at_s: f64,
+    },
     /// No frame has a current.
     #[error(
         "{name}: frames are from {:.3} s to {:.3} s and commands from {:.3} s to {:.3} s of the camera's clock: they \
@@ -142,6 +152,10 @@ impl Observed {
         };
         let all = currents.iter().filter_map(command).map(|(t, value)| value.map(|v| (t, v)).ok_or_else(missing));
         let all = all.collect::<Result<Vec<_>, _>>()?;
+        if let Some((at_s, _)) = all.iter().find(|(_, value)| !value.is_finite()) {
+            let at_s = at_s + self.zero_ns as f64 * S_PER_NS;
+            return Err(RecordedError::NotANumber { name: name.to_owned(), coil, at_s });
+        }
         if all.is_empty() { Err(none()) } else { Ok(Held::new(all)) }
     }
 
@@ -155,7 +169,7 @@ impl Observed {
         let mut series = Series { name: self.name.clone(), plant, ..Series::default() };
         let mut push = |from: f64, to: f64, theta: Option<f64>| {
             series.time_s.push(from);
-            series.drive.push(commands.mean(from - delay_s, to - delay_s));
+            series.drive.push(commands.mean_from_rest(from - delay_s, to - delay_s));
             series.output.push(theta);
         };
         for (k, (t, theta)) in self.time_s.iter().zip(&self.theta_rad).enumerate() {
@@ -187,10 +201,11 @@ impl Observed {
     pub(crate) fn add_within(&self, series: &mut Series, commands: &Held, delay_s: f64) -> f64 {
         let beyond = |(from, to): (f64, f64)| {
             let part_s = (to - from) / PARTS as f64;
-            let Some(mean) = commands.mean(from - delay_s, to - delay_s) else { return [0.0; PARTS] };
+            let mean_of = |from, to| commands.mean_from_rest(from, to);
+            let Some(mean) = mean_of(from - delay_s, to - delay_s) else { return [0.0; PARTS] };
             std::array::from_fn(|i| {
                 let begin = from - delay_s + i as f64 * part_s;
-                commands.mean(begin, begin + part_s).map_or(0.0, |part| part - mean)
+                mean_of(begin, begin + part_s).unwrap_or(0.0) - mean
             })
         };
         let times = series.time_s.iter().copied();
@@ -274,10 +289,12 @@ mod tests {
         assert_eq!(series.output, [Some(0.0), None, None, None, Some(2.0), Some(3.0)]);
         let drive: Vec<f64> = series.drive.iter().flatten().map(|d| (d * 1e9).round() / 1e9).collect();
         assert_eq!(drive, [2.0, 3.0, 1.0, -1.0, -1.0, -1.0]);
-        // Later by 5 ms: the drive before the first command is unknown.
+        // Later by 5 ms: zero before the first command, which comes in the middle of a frame; by 15 ms, nothing is known
+        // of the frame before that one.
         let late = observed.series(&held, None, 0.005).unwrap();
-        assert_eq!(late.drive[0], None);
-        assert!((late.drive[1].unwrap() - 3.0).abs() < 1e-9);
+        assert!((late.drive[0].unwrap() - 0.5).abs() < 1e-9 && (late.drive[1].unwrap() - 3.0).abs() < 1e-9);
+        let later = observed.series(&held, None, 0.015).unwrap();
+        assert!(later.drive[0].is_none() && (later.drive[1].unwrap() - 0.5).abs() < 1e-9, "{:?}", later.drive);
     }
 
     /// In whole milliseconds 40 frames of 60 Hz are 39 of the median, 17 ms.
@@ -302,6 +319,8 @@ mod tests {
         let observed = Observed::of(&recording(&[5000, 5010], |_| Some(0.0))).unwrap();
         assert!(matches!(observed.commands("c", &[], 0), Err(RecordedError::NoCurrents { .. })));
         assert!(matches!(observed.commands("c", &[command(0, 1.0)], 2), Err(RecordedError::NoCoil { coils: 2, .. })));
+        let lacking = observed.commands("c", &[command(5000, 1.0), command(5002, f64::NAN)], 1).unwrap_err();
+        assert!(lacking.to_string().contains("coil 1 at 5.002 s"), "{lacking}");
         let held = observed.commands("c", &[command(9000, 1.0), command(9500, 1.0)], 1).unwrap();
         let apart = observed.series(&held, None, 0.0).unwrap_err().to_string();
         assert!(apart.contains("from 5.000 s to 5.010 s and commands from 9.000 s to 9.500 s"), "{apart}");

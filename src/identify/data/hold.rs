@@ -144,6 +144,11 @@ impl Held {
         Some((self.integral_to(to_s)? - self.integral_to(from_s)?) / (to_s - from_s))
     }
 
+    /// The same, with zero before a first command that falls between the two: what begins with it was at rest.
+    pub(in crate::identify) fn mean_from_rest(&self, from_s: f64, to_s: f64) -> Option<f64> {
+        self.mean(from_s, to_s).or_else(|| Some(self.integral_to(to_s)? / (to_s - from_s)))
+    }
+
     fn integral_to(&self, t: f64) -> Option<f64> {
         let k = self.time_s.partition_point(|s| *s <= t).checked_sub(1)?;
         Some(self.integral[k] + held_for(self.value[k], t - self.time_s[k]))
@@ -166,6 +171,7 @@ mod tests {
         assert_eq!(held.mean(0.5, 1.5), Some(4.0));
         assert_eq!(held.mean(1.5, 3.5), Some(1.5));
         assert_eq!(held.mean(-0.5, 0.5), None);
+        assert_eq!((held.mean_from_rest(-0.5, 0.5), held.mean_from_rest(-2.0, -1.0)), (Some(1.0), None));
         assert_eq!(held.span_s(), Some((0.0, 2.0)));
         assert_eq!(Held::new(Vec::new()).mean(0.0, 1.0), None);
     }

@@ -16,11 +16,17 @@ pub(super) fn doubts(together: Option<&Together>, names: &[String], judged: &[Re
         doubts.push(Diagnostic::Together { coils, ratio: found.ratio });
     }
     for (output, angle) in OUTPUTS.iter().enumerate() {
-        let error = |fit: &RecordFit| fit.full.get(output).copied().unwrap_or(f64::NAN);
+        let of = |errors: &[f64]| errors.get(output).copied().unwrap_or(f64::NAN);
+        let error = |fit: &RecordFit| of(&fit.full);
         let title = || format!("{angle} by the full model");
-        let poor = judged.iter().filter(|fit| fit.fitted).map(error).find(|percent| *percent > POOR_FIT_PERCENT);
-        if let Some(error_percent) = poor {
-            doubts.push(Diagnostic::Poor { title: title(), error_percent, linear: None, other: None, has_sigma: true });
+        let poor = |error: &dyn Fn(&RecordFit) -> f64, title: String| {
+            let fitted = judged.iter().filter(|fit| fit.fitted);
+            let error_percent = fitted.map(error).find(|percent| *percent > POOR_FIT_PERCENT)?;
+            Some(Diagnostic::Poor { title, error_percent, linear: None, other: None, has_sigma: true })
+        };
+        let reduced = || poor(&|fit| of(&fit.reduced), format!("{angle} by the reduced model"));
+        if let Some(poor) = poor(&error, title()).or_else(reduced) {
+            doubts.push(poor);
             continue;
         }
         let strange = judged.iter().filter(|fit| !fit.fitted && error(fit) > WORSE_THAN_ZERO_PERCENT);

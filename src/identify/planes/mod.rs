@@ -42,6 +42,8 @@ const STILL_A: f64 = 1e-6;
 const STILL_RAD: f64 = 1e-6;
 /// Error energy of a reduced model at most, over that of the full one, when the number of states is not given.
 const NEARLY: f64 = 1.25;
+/// Error energy of an order's simulation at most, over that of the best, to be chosen for its description length.
+const MOST_OF_LEAST: f64 = 2.0;
 /// Least share of the currents' variation that must tell coils apart: rounding to 0.1 mA makes less of two that are
 /// one, and with less the response would be 200 times less certain.
 const APART: f64 = 5e-3;
@@ -334,27 +336,32 @@ pub(crate) fn identify(
 }
 
 /// Fits every order. Returns what each came to, by the judging records if there are any, and the best.
+///
+/// Without them only orders count whose simulation of the records fitted is nearly the best: what the currents do not
+/// excite an order may make up, and run far off where they begin.
 fn search(
     (fitted, judging): (&[Motion], &[Motion]),
     orders: RangeInclusive<usize>,
     delay: usize,
 ) -> (Vec<(usize, f64)>, Option<arx::Fitted>) {
     let regression = Regression::of(fitted, *orders.end(), delay);
-    let mut tried = Vec::new();
-    let mut best: Option<(f64, arx::Fitted)> = None;
-    for order in orders {
-        let Some(found) = regression.fit(order) else { continue };
-        let cost = if judging.is_empty() {
-            found.description_length
-        } else {
-            error_percent(&found.system, judging).unwrap_or(f64::INFINITY)
-        };
-        tried.push((order, cost));
-        if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
-            best = Some((cost, found));
-        }
-    }
-    (tried, best.map(|(_, found)| found))
+    let simulated = if judging.is_empty() { fitted } else { judging };
+    let fit = |order: usize| {
+        let found = regression.fit(order)?;
+        let error = error_percent(&found.system, simulated).unwrap_or(f64::INFINITY);
+        Some((order, error, found))
+    };
+    let all: Vec<(usize, f64, arx::Fitted)> = orders.filter_map(fit).collect();
+    let least = all.iter().map(|(_, error, _)| *error).fold(f64::INFINITY, f64::min);
+    let cost = |(_, error, found): &(usize, f64, arx::Fitted)| match judging {
+        [] if *error <= MOST_OF_LEAST * least => found.description_length,
+        [] => f64::INFINITY,
+        _ => *error,
+    };
+    let tried =
+        all.iter().map(|one| (one.0, if judging.is_empty() { one.2.description_length } else { one.1 })).collect();
+    let finite = all.into_iter().map(|one| (cost(&one), one.2)).filter(|(cost, _)| cost.is_finite());
+    (tried, finite.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found))
 }
 
 /// The model with `keep` states, or with the fewest that are nearly as good; `None` when it is not stable.

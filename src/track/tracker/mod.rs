@@ -41,14 +41,17 @@ use crate::track::recording::picture_order::Order;
 use crate::track::recording::repeated_pictures::Repeats;
 use nalgebra::Vector2;
 use warnings::{
-    BLENDED, COLOURS_LAG, COPIED, DENOISED, FRINGES, LAMP_CHANGED, LONG_EXPOSURE, MOVED, OTHER_TUBE, OUT_OF_FOCUS,
-    OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, STALLED, SWINGS, UNLIKE_TAUGHT, UNSTEADY, VIEWS_DISAGREE, WOVEN,
+    BLENDED, COLOURS_LAG, COPIED, DENOISED, FOREIGN, FRINGES, LAMP_CHANGED, LONG_EXPOSURE, LOOKS_OTHERWISE, MOVED,
+    OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, STALLED, SWINGS, UNLIKE_TAUGHT, UNSTEADY,
+    VIEWS_DISAGREE, WOVEN,
 };
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
 /// models are compared, more of it tells what is noise.
 const TRACKED_PX: f64 = 4.0;
 const COMPARED_PX: f64 = 5.0;
+/// Frames in a row in which the coil is refused for its looks that are told.
+const LONG_POOR: u32 = 30;
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -97,6 +100,8 @@ pub struct Tracker {
     before: Vec<Option<Last>>,
     motion: Motion,
     focus: Focus,
+    /// Last frames in which the coil was refused for its looks.
+    poor_in_a_row: u32,
     blending: Blending,
     denoised: Denoised,
     ways: Ways,
@@ -146,6 +151,7 @@ impl Tracker {
             stamps: Resolution::default(),
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
             focus: Focus::of(rig),
+            poor_in_a_row: 0,
             blending: Blending::default(),
             denoised: Denoised::default(),
             ways: Ways::new(rig.markers.len()),
@@ -269,6 +275,9 @@ impl Tracker {
         self.diameter.add(&estimate);
         // 4. implausible motion becomes a miss
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
+        let coil = estimate.markers.get(self.rig.catheter.coil);
+        let is_poor = coil.is_some_and(|coil| matches!(coil.position, Err(Miss::PoorFit { .. })));
+        self.poor_in_a_row = if is_poor { self.poor_in_a_row.saturating_add(1) } else { 0 };
         self.repeats.notice_stall(&estimate);
         // Before σ is widened: pictures that repeat scatter.
         self.repeats.remember(picture, found.windows(), &estimate);
@@ -289,7 +298,7 @@ impl Tracker {
 
     /// What to warn of in the pictures so far, each once.
     pub fn warning(&mut self) -> Option<String> {
-        let (diameter, stalled) = (self.diameter.doubt(), self.repeats.stalled());
+        let (diameter, stalled, foreign) = (self.diameter.doubt(), self.repeats.stalled(), self.order.foreign());
         let seen = [
             (self.pairs.are_alike(), PAIRED_CHROMA),
             (self.model.first_coded.is_some(), COPIED),
@@ -304,6 +313,8 @@ impl Tracker {
             (self.denoised.is_seen() && self.model.first_coded.is_none(), DENOISED),
             (self.lag.is_seen(), COLOURS_LAG),
             (self.order.is_wrong(), OUT_OF_ORDER),
+            (foreign.is_some(), FOREIGN),
+            (self.poor_in_a_row >= LONG_POOR, LOOKS_OTHERWISE),
             (self.fields.are_woven(), WOVEN),
             (self.fringes.are_seen(), FRINGES),
             (self.exposure.is_seen(), LONG_EXPOSURE),
@@ -319,6 +330,7 @@ impl Tracker {
         let said = match new {
             OTHER_TUBE => diameter,
             STALLED => stalled,
+            FOREIGN => foreign,
             _ => None,
         };
         let said = said.unwrap_or_default();

@@ -39,6 +39,14 @@ pub(super) const COLOURS_LAG: &str = "colours lag behind the brightness of what 
 pub(super) const OUT_OF_ORDER: &str = "two of the last ten pictures, or more, are in the wrong order, by the way the \
      bands move: rows there are wrong, and σ does not cover that; only the first such place is named: restore the \
      order, or leave these pictures out";
+pub(super) const LOOKS_OTHERWISE: &str = "for the last 30 frames the coil's band has not looked as it did before, and \
+     was refused as `poor_fit`: focus, light or coding have changed, or something is in front of it. If it stays so, \
+     track what follows as a recording of its own (--from), with bands taught on it";
+/// After the number of the frame.
+pub(super) const FOREIGN: &str = " shows the bands where they cannot have been, by those before and after it: it is of \
+     another time (an old one that a buffer gave once more), or a band is taken for another thing in it; what its row \
+     has of them is wrong, σ does not cover that, and the next row may be missing; only the first such frame is named: \
+     leave it out";
 pub(super) const UNSTEADY: &str = "a band scatters about a smooth motion by more than four times its σ: pictures or \
      their stamps are in the wrong order or unevenly spaced (conversion of the frame rate), or it moves faster than \
      these frames show; σ is widened by as much, but single rows may be worse";
