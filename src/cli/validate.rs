@@ -77,6 +77,11 @@ const TABLE: &str = "validation.csv";
 const TABLE_2: &str = "table.md";
 const RESULT: &str = "validation.json";
 
+/// Of a pause, without the digits of rounding: 19.9 ms, not 19.900000000000002.
+fn ms(pause_s: f64) -> f64 {
+    (pause_s * 1e9).round() / 1e6
+}
+
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
     outcome::of("validate", args.json, quiet, |outcome| evaluate(args, outcome))
@@ -130,7 +135,7 @@ fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
     }
     for run in &validation.runs {
         for note in &run.notes {
-            tracing::warn!("{} ms: {note}", run.pause_s * 1e3);
+            tracing::warn!("{} ms: {note}", ms(run.pause_s));
         }
     }
     // 3. the files
@@ -159,7 +164,7 @@ impl Args {
     fn tables_of_points(&self) -> Vec<String> {
         let mut seen: BTreeMap<String, u32> = BTreeMap::new();
         let name = |pause_s: &f64| {
-            let name = format!("points_{}ms", pause_s * 1e3);
+            let name = format!("points_{}ms", ms(*pause_s));
             let times = seen.entry(name.clone()).or_default();
             *times += 1;
             if *times == 1 { format!("{name}.csv") } else { format!("{name}_{times}.csv") }

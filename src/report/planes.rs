@@ -4,7 +4,7 @@ use super::chart::{self, CURVE, PALETTE, QUIET, css, rounded};
 use super::html::escape;
 use super::page::{self, card, figure, table};
 use super::timeline::Timeline;
-use crate::identify::planes::{Motion, OUTPUTS, Planes, RecordFit, System};
+use crate::identify::planes::{Motion, OUTPUTS, Planes, RecordFit, System, Tried};
 use plotly::common::{Line, Marker, Mode};
 use plotly::layout::AxisType;
 use plotly::{Plot, Scatter};
@@ -47,10 +47,17 @@ pub(crate) fn page(found: &Planes, coils: &[String], records: &[&Motion]) -> Str
     body += "<h2>Hankel singular values</h2>\n<p>Of both planes together; those kept are filled.</p>\n";
     body += &figure("plot-hankel", &hankel(found), 260, false);
     body += "<h2>Orders tried</h2>\n";
-    let what = if found.by_simulation { "error of the judging records, %" } else { "description length" };
-    let rows: Vec<Vec<String>> =
-        found.tried.iter().map(|(order, cost)| vec![order.to_string(), format!("{cost:.4}")]).collect();
-    body += &table(0, &["order", what], &rows);
+    let of = if found.by_simulation { "error of the judging records, %" } else { "error of the fitted records, %" };
+    let row = |tried: &Tried| {
+        let taken = if tried.order == found.order { " (taken)" } else { "" };
+        vec![
+            format!("{}{taken}", tried.order),
+            format!("{:.4}", tried.description_length),
+            format!("{:.4}", tried.error_percent),
+        ]
+    };
+    let rows: Vec<Vec<String>> = found.tried.iter().map(row).collect();
+    body += &table(0, &["order", "description length", of], &rows);
     body += &page::footer("");
     page::page(&format!("Both planes of {name}"), &body)
 }

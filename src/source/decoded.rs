@@ -20,6 +20,8 @@ pub(crate) struct PictureMaker {
     siting: ChromaSiting,
     /// Whether the coder loses nothing to speak of, so that no quantisation need be assumed where none is stated.
     loses_little: bool,
+    /// Whether the decoder has told how coarsely a picture was quantised.
+    tells_steps: bool,
     /// Whether it predicts pictures without numbering them.
     numbers_nothing: bool,
     last_coded: LastCoded,
@@ -64,7 +66,8 @@ impl PictureMaker {
         };
         let loses_little = loses_little(codec);
         let (converter, last_coded, warned) = (None, LastCoded::default(), Vec::new());
-        Self { path, converter, siting, loses_little, numbers_nothing: numbers_nothing(codec), last_coded, warned }
+        let (tells_steps, numbers_nothing) = (false, numbers_nothing(codec));
+        Self { path, converter, siting, loses_little, tells_steps, numbers_nothing, last_coded, warned }
     }
 
     /// Sets the chroma siting of frames that do not state it, overriding the codec's default.
@@ -94,6 +97,7 @@ impl PictureMaker {
             (None, Some(Stated::Level(level))) => Some(Quantisation::of_level(level, size_px)),
             (by_decoder, _) => by_decoder,
         };
+        self.tells_steps |= by_block.is_some();
         let quantisation = match by_block {
             Some(stated) => Some(self.last_coded.quantisation(&picture, stated)),
             None => (!self.loses_little).then(|| self.assumed(size_px)),
@@ -141,9 +145,10 @@ impl PictureMaker {
         Ok((self.convert(&frame, reduced)?, format))
     }
 
-    /// Quantisation where the coder quantises but the decoder does not report it.
+    /// Quantisation where the coder quantises but the decoder does not report it. (libav's decoders of MPEG-2 and MPEG-4
+    /// report it for all pictures but the last.)
     fn assumed(&mut self, size_px: [u32; 2]) -> Quantisation {
-        if self.first("quantisation") {
+        if !self.tells_steps && self.first("quantisation") {
             tracing::warn!(
                 "{}: how coarsely its coder quantised is not known; σ assumes what is usual for H.264 at crf 22",
                 self.path.display()

@@ -21,6 +21,8 @@ const POINTS: usize = 8;
 const MADE: usize = 3;
 /// A path has the harmonics with this part of the power of its largest.
 const LEAST_POWER: f64 = 1e-4;
+/// How often in a period lags swing by which slow errors are measured.
+const SWINGS: std::ops::RangeInclusive<u8> = 2..=5;
 /// Rounds in turns.
 const ROUNDS: usize = 8;
 
@@ -50,15 +52,21 @@ impl Shifted {
 ///
 /// The common motion has as many harmonics as a catheter makes of the path's: with more, its slope is mostly noise, and
 /// so are the lags.
-pub(super) fn align(periods: &mut [Shifted], path: &[Point3<f64>]) {
+///
+/// Returns σ of a coordinate of a point, as far as errors are as slow as the motion: that of independent errors which
+/// move a lag by as much as these. `None` where there is no common motion, or a single period.
+pub(super) fn align(periods: &mut [Shifted], path: &[Point3<f64>]) -> Option<f64> {
     let length = path.len();
     let of_path = MADE * harmonics(path);
+    let mut last = None;
     for _ in 0..ROUNDS {
         let points: usize = periods.iter().map(|period| period.points.len()).sum();
         let harmonics = of_path.min(length / 4).min(points / POINTS).clamp(1, HARMONICS);
-        let Some(motion) = Motion::through(periods, length, harmonics) else { return };
+        let motion = Motion::through(periods, length, harmonics)?;
         periods.iter_mut().for_each(|period| motion.shift(period));
+        last = Some(motion);
     }
+    last?.slow_sd_m(periods)
 }
 
 /// The points of whole periods of a path, those that are missing by a Fourier series through the others, with the
@@ -138,6 +146,33 @@ impl Motion {
         (sum(&row), sum(&slopes) * self.per_point)
     }
 
+    /// σ of slow errors, from what periods leave of a motion whose lag swings a few times in each: a steady lag, and
+    /// what all have in common, is taken out.
+    fn slow_sd_m(&self, periods: &[Shifted]) -> Option<f64> {
+        let (mut squares, mut count) = (0.0, 0.0);
+        for Shifted { points, lag, offset_m, .. } in periods {
+            let left = points.iter().map(|(k, point)| {
+                let (place, slope) = self.at((k - lag) * self.per_point);
+                (k * self.per_point, point - offset_m - place, slope)
+            });
+            let left: Vec<_> = left.collect();
+            for (swings, quarter) in SWINGS.flat_map(|swings| [(swings, 0.0), (swings, 0.25)]) {
+                let (mut both, mut own) = (0.0, 0.0);
+                for (angle, off, slope) in &left {
+                    let way = slope * (f64::from(swings) * angle - quarter * TAU).cos();
+                    both += way.dot(off);
+                    own += way.norm_squared();
+                }
+                squares += both * both / own;
+                count += 1.0;
+            }
+        }
+        // The common motion follows each period's errors in part.
+        let of_others = 1.0 - 1.0 / periods.len() as f64;
+        let sd_m = (squares / count / of_others).sqrt();
+        sd_m.is_finite().then_some(sd_m)
+    }
+
     /// One step of Gauss and Newton for the lag and the offset.
     fn shift(&self, period: &mut Shifted) {
         let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
@@ -215,7 +250,8 @@ mod tests {
             })
             .collect();
         let path: Vec<Point3<f64>> = (0..length).map(|k| place(k as f64).into()).collect();
-        align(&mut periods, &path);
+        let slow_sd_m = align(&mut periods, &path).unwrap();
+        assert!(slow_sd_m < 1e-3, "without errors: {slow_sd_m}");
         for (period, (lag, offset)) in periods.iter().zip(shifts) {
             let (lag_off, offset_off) = (period.lag - periods[0].lag - lag, period.offset_m - periods[0].offset_m);
             assert!(lag_off.abs() < 1e-3, "{lag}: {}", period.lag);

@@ -38,7 +38,7 @@ struct Period {
     number: usize,
     /// From the mean period.
     phase_deg: f64,
-    /// σ of a coordinate of its mean by the tracker's own noise, metres, where that is known.
+    /// σ of a coordinate of its mean, metres: by the tracker's own noise, where that is known, or by slow errors.
     sd_m: Option<f64>,
     /// Root mean square distance of its points from their mean, metres.
     size_m: f64,
@@ -118,8 +118,8 @@ impl Periods {
         let largest_m = all.iter().map(Shifted::size_m).fold(0.0, f64::max);
         let (mut moving, still): (Vec<Shifted>, Vec<Shifted>) =
             all.into_iter().partition(|period| period.size_m() >= STILL * largest_m);
-        align(&mut moving, &path.points);
-        let moving = moving.iter().map(|shifted| period(shifted, length, sd_m, frames)).collect();
+        let slow_sd_m = align(&mut moving, &path.points).unwrap_or_default();
+        let moving = moving.iter().map(|shifted| period(shifted, length, (sd_m, slow_sd_m), frames)).collect();
         Some(Self { changes: Changes::of(moving), still: still.iter().map(|period| period.number).collect() })
     }
 
@@ -242,12 +242,15 @@ fn shifted(usual: &[Point3<f64>], number: usize, means: &[Option<Mean>]) -> Opti
     Some(Shifted { number, points, lag, offset_m: Vector3::zeros() })
 }
 
-fn period(shifted: &Shifted, length: usize, sd_m: Option<f64>, frames: f64) -> Period {
-    let there = shifted.points.len() as f64 / length as f64;
+/// `sd_m`: of a coordinate in a frame, by the tracker; and in a point, as far as errors are slow.
+fn period(shifted: &Shifted, length: usize, (sd_m, slow_sd_m): (Option<f64>, f64), frames: f64) -> Period {
+    let points = shifted.points.len() as f64;
+    let there = points / length as f64;
+    let of_mean = |sd_m: f64| (sd_m / (frames * there).sqrt()).max(slow_sd_m / points.sqrt());
     Period {
         number: shifted.number,
         phase_deg: -360.0 * shifted.lag / length as f64,
-        sd_m: sd_m.map(|sd_m| sd_m / (frames * there).sqrt()),
+        sd_m: sd_m.map(of_mean),
         size_m: shifted.size_m(),
         offset_m: shifted.offset_m,
     }

@@ -82,6 +82,8 @@ pub(crate) struct Clustered {
     /// The covariance according to the equations, with pictures and priors weighted as they are, see
     /// [`Self::design_effect`].
     pub(crate) weighted: DMatrix<f64>,
+    /// For each picture, its cluster.
+    pub(crate) clusters: Vec<usize>,
     /// For each cluster, what it says.
     pub(crate) parts: Vec<Part>,
     /// The unknowns are its transpose times the coordinates of `parts`; lower triangular.
@@ -132,6 +134,7 @@ impl Clustered {
             covariance: back(together + &prior * prior_weight),
             noise: back(seen + &prior * prior_weight),
             weighted: whitening.tr_mul(&whitening) * prior_weight,
+            clusters: clusters.to_vec(),
             parts,
             whitening,
             design_effect,

@@ -176,7 +176,7 @@ impl Bundle {
             weighted_covariance: of_free(&known.weighted),
             shape: at.shape,
             shape_covariance: known.covariance.view((free, free), (shape::PARAMETERS, shape::PARAMETERS)).into_owned(),
-            clusters: self.clusters(&at),
+            clusters: known.clusters,
             parts: known.parts,
             whitening: known.whitening,
             design_effect: known.design_effect,

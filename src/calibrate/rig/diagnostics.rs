@@ -173,16 +173,19 @@ pub(crate) fn compared(solution: &Solution, known: &Prior) -> Option<Compared> {
         by_geometry.row_mut(i).tr_copy_from(&row.by_geometry);
     }
     let seen = |covariance: &DMatrix<f64>| &by_geometry * covariance * by_geometry.transpose();
+    let gain = seen(&solution.weighted_covariance);
     // The prior entered the solution with the weight of the search.
     let one = DMatrix::identity(rows.len(), rows.len());
-    let left = (one - seen(&solution.weighted_covariance) * 2.0 + seen(&solution.covariance)).symmetric_eigen();
+    let left = (one - &gain * 2.0 + seen(&solution.covariance)).symmetric_eigen();
     let directions = left.eigenvalues.iter().zip(left.eigenvectors.column_iter());
     let (squares, variances): (Vec<f64>, Vec<f64>) = directions
         .filter(|(variance, _)| **variance > REDUNDANT)
         .map(|(variance, direction)| (direction.dot(&residuals).powi(2) / variance, *variance))
         .unzip();
-    // With the variance r of the rest, that of the prior being 1, the residual's is 1/(1 + r).
-    let rest_sd = (rows.len() == 1).then(|| variances.first().map(|left| (1.0 / left - 1.0).max(0.0).sqrt()));
+    // With the variance r of the rest, that of the prior being 1, and the gain K of the prior, the residual's variance
+    // is (1 − K)² (1 + r).
+    let rest_sd = |left: &f64| (left / (1.0 - gain[(0, 0)]).powi(2) - 1.0).max(0.0).sqrt();
+    let rest_sd = (rows.len() == 1).then(|| variances.first().map(rest_sd));
     (!squares.is_empty())
         .then(|| Compared { off: sigmas(squares.iter().sum(), squares.len()), rest_sd: rest_sd.flatten() })
 }

@@ -19,9 +19,9 @@ const MIN_PAUSES: usize = 3;
 /// A pause whose halves differ by more than so many σ of the difference, and by more than this part of the scatter, has
 /// not settled.
 const UNSETTLED: (f64, f64) = (5.0, 0.5);
-/// What settles moves more at first: the square of the way within the first half over that within the second, of all
-/// pauses, above which slow noise is not the reason why halves differ.
-const SETTLES: f64 = 2.5;
+/// What settles goes on in the same direction: median cosine between the way within the first half of a pause and that
+/// within the second, above which slow noise is not the reason why halves differ.
+const SETTLES: f64 = 0.5;
 /// Median length of a vector of three normal numbers.
 const MEDIAN_OF_THREE: f64 = 1.538;
 
@@ -124,13 +124,37 @@ struct Long {
     own: Squares,
     /// Means of its halves: coil, tip and direction.
     halves: [[Vector3<f64>; 3]; 2],
-    /// Squared way of the tip from the first half of each half to its second, m².
-    ways_m2: [f64; 2],
+    /// Way of the tip from the first half of each half to its second, metres.
+    ways_m: [Vector3<f64>; 2],
     /// Noise of the tip in a frame, metres.
     sd_m: f64,
 }
 
 impl Long {
+    /// `stated_m`: noise that the tracker states, metres.
+    fn of(run: usize, currents_a: Vector3<f64>, seen: &[Seen], stated_m: f64) -> Self {
+        // Noise by differences from frame to frame: what still creeps is none.
+        let mut own = Squares::default();
+        own.add(seen.iter().zip(seen.iter().skip(1)).map(|(a, b)| [&a.all, &b.all]), 2.0);
+        let sd_m = own.noise().map_or(0.0, |noise| noise.point_m).max(stated_m);
+        let (early, late) = seen.split_at(seen.len() / 2);
+        let way_m = |half: &[Seen]| {
+            let (first, second) = half.split_at(half.len() / 2);
+            mean(second)[1] - mean(first)[1]
+        };
+        let [coil, tip, tangent] = mean(seen);
+        let pause = Pause {
+            run,
+            from_s: seen.first().map_or(0.0, |s| s.time_s),
+            frames: seen.len(),
+            currents_a,
+            coil: coil.into(),
+            tip: tip.into(),
+            tangent: tangent.normalize(),
+        };
+        Self { pause, own, halves: [mean(early), mean(late)], ways_m: [early, late].map(way_m), sd_m }
+    }
+
     fn apart_m(&self) -> f64 {
         (self.halves[0][1] - self.halves[1][1]).norm()
     }
@@ -143,13 +167,10 @@ impl Long {
 
 /// Pauses of all runs that last longer than `settle_s`, and the noise in them. What differs by no more than the noise
 /// that the tracker states has settled. Slow noise makes halves differ by more than that of frames: by how much, all
-/// pauses tell, unless they move more at first.
+/// pauses tell, unless most of them go on in one direction.
 pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) -> AtRest {
     let long = long_pauses(runs, settle_s, delay_s, stated);
-    let [first, second] = [0, 1].map(|half| long.iter().map(|long| long.ways_m2[half]).sum::<f64>());
-    let usual =
-        median(long.iter().map(Long::apart_sds)).filter(|_| long.len() >= MIN_PAUSES && first < SETTLES * second);
-    let slow = usual.map_or(1.0, |usual| (usual / MEDIAN_OF_THREE).max(1.0));
+    let slow = slow_noise(&long);
     let is_settled =
         |long: &Long| long.apart_sds() <= UNSETTLED.0 * slow || long.apart_m() <= UNSETTLED.1 * slow * long.sd_m;
     let (settled, unsettled): (Vec<Long>, Vec<Long>) = long.into_iter().partition(is_settled);
@@ -167,6 +188,17 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) 
     }
 }
 
+/// By what factor halves of pauses differ more than white noise explains, where that is noise.
+fn slow_noise(long: &[Long]) -> f64 {
+    let cosine = median(long.iter().map(|long| {
+        let [first, second] = long.ways_m;
+        first.dot(&second) / (first.norm() * second.norm()).max(f64::MIN_POSITIVE)
+    }));
+    let is_noise = long.len() >= MIN_PAUSES && cosine.is_some_and(|cosine| cosine < SETTLES);
+    let usual = median(long.iter().map(Long::apart_sds)).filter(|_| is_noise);
+    usual.map_or(1.0, |usual| (usual / MEDIAN_OF_THREE).max(1.0))
+}
+
 fn long_pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) -> Vec<Long> {
     let mut long = Vec::new();
     for (index, run) in runs.iter().enumerate() {
@@ -182,27 +214,7 @@ fn long_pauses(runs: &[Run], settle_s: f64, delay_s: f64, stated: &Noise) -> Vec
             if seen.len() < 2 * MIN_FRAMES {
                 continue;
             }
-            // Noise by differences from frame to frame: what still creeps is none.
-            let mut own = Squares::default();
-            own.add(seen.iter().zip(seen.iter().skip(1)).map(|(a, b)| [&a.all, &b.all]), 2.0);
-            let sd_m = own.noise().map_or(0.0, |noise| noise.point_m).max(stated.point_m);
-            let (early, late) = seen.split_at(seen.len() / 2);
-            let way_m2 = |half: &[Seen]| {
-                let (first, second) = half.split_at(half.len() / 2);
-                (mean(first)[1] - mean(second)[1]).norm_squared()
-            };
-            let [coil, tip, tangent] = mean(&seen);
-            let pause = Pause {
-                run: index,
-                from_s: seen.first().map_or(0.0, |s| s.time_s),
-                frames: seen.len(),
-                currents_a,
-                coil: coil.into(),
-                tip: tip.into(),
-                tangent: tangent.normalize(),
-            };
-            let halves = [mean(early), mean(late)];
-            long.push(Long { pause, own, halves, ways_m2: [early, late].map(way_m2), sd_m });
+            long.push(Long::of(index, currents_a, &seen, stated.point_m));
         }
     }
     long
@@ -283,5 +295,44 @@ pub(super) fn push(
         let angle = across.norm().atan2(along);
         let off = across.try_normalize(1e-12).unwrap_or(aside) * (angle * weight / noise.angle_rad);
         left.extend([off.dot(&aside), off.dot(&tangent.cross(&aside))]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::normal::normal;
+
+    const SD_M: f64 = 4e-5;
+
+    /// The factor for 12 pauses of 140 frames, with noise of which a part persists from frame to frame, at the end of a
+    /// settling of 5 mm of which only the last `rest_m` are left, with a time constant of 200 frames.
+    fn factor(persists: f64, rest_m: f64, seed: u64) -> f64 {
+        let mut random = fastrand::Rng::with_seed(seed);
+        let mut noise = || Vector3::from_fn(|_, _| normal(&mut random));
+        let pauses: Vec<Long> = (0..12)
+            .map(|k| {
+                let mut state = noise() * SD_M;
+                let way = Vector3::new(f64::from(k % 3) - 1.0, 1.0, 0.0).normalize() * rest_m;
+                let frame = |i: i32| {
+                    state = state * persists + noise() * SD_M * (1.0 - persists * persists).sqrt();
+                    let tip = state + way * (-f64::from(i) / 200.0).exp();
+                    Seen { time_s: f64::from(i) / 60.0, all: [tip, tip, Vector3::z()] }
+                };
+                Long::of(0, Vector3::zeros(), &(0..140).map(frame).collect::<Vec<_>>(), 0.0)
+            })
+            .collect();
+        slow_noise(&pauses)
+    }
+
+    #[test]
+    fn slow_noise_is_told_from_what_settles() {
+        for seed in 0..10 {
+            assert!(factor(0.0, 0.0, seed) < 1.6, "white");
+            let slow = factor(0.9, 0.0, seed);
+            assert!((6.0..25.0).contains(&slow), "{slow}: halves are 14 times as far apart as frames say");
+            // More than half of a time constant, and the noise is small beside it.
+            assert!(factor(0.0, 2e-3, seed) < 1.0 + 1e-9 && factor(0.9, 2e-3, seed) < 1.0 + 1e-9, "settling");
+        }
     }
 }

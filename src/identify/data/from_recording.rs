@@ -46,6 +46,17 @@ pub(crate) enum RecordedError {
         /// The recording.
         name: String,
     },
+    /// Commands, but none on the camera's clock.
+    #[error(
+        "{name}: has {} of coil currents, but no frame with the host's time (`host_stamp_ns`), by which they would be \
+         brought to the camera's clock; give a table of them on that clock with --currents", plural(*samples as u64, "sample")
+    )]
+    NoCommonClock {
+        /// The recording.
+        name: String,
+        /// How many there are.
+        samples: usize,
+    },
     /// A coil that does not exist.
     #[error(
         "{name}: has currents of {}, and coil {coil} was asked for; they are counted from 0", plural(*coils, "coil")
@@ -156,7 +167,10 @@ impl Observed {
             let at_s = at_s + self.zero_ns as f64 * S_PER_NS;
             return Err(RecordedError::NotANumber { name: name.to_owned(), coil, at_s });
         }
-        if all.is_empty() { Err(none()) } else { Ok(Held::new(all)) }
+        if all.is_empty() {
+            return Err(RecordedError::NoCommonClock { name: name.to_owned(), samples: currents.len() });
+        }
+        Ok(Held::new(all))
     }
 
     /// The series: the drive is in amperes if `plant` converts it to torque, otherwise in the unit of `commands`.
@@ -318,6 +332,9 @@ mod tests {
         assert!(Observed::of(&recording(&[], |_| None)).unwrap_err().to_string().ends_with("has no frame"));
         let observed = Observed::of(&recording(&[5000, 5010], |_| Some(0.0))).unwrap();
         assert!(matches!(observed.commands("c", &[], 0), Err(RecordedError::NoCurrents { .. })));
+        let unrelated = Current { host_ns: Some(1), stamp_ns: None, values_a: vec![0.1] };
+        let no_clock = observed.commands("c", &[unrelated], 0).unwrap_err().to_string();
+        assert!(no_clock.contains("has 1 sample of coil currents"), "{no_clock}");
         assert!(matches!(observed.commands("c", &[command(0, 1.0)], 2), Err(RecordedError::NoCoil { coils: 2, .. })));
         let lacking = observed.commands("c", &[command(5000, 1.0), command(5002, f64::NAN)], 1).unwrap_err();
         assert!(lacking.to_string().contains("coil 1 at 5.002 s"), "{lacking}");

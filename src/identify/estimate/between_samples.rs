@@ -89,20 +89,22 @@ mod tests {
             from_rest: true,
             ..Segment::default()
         };
-        let found = |segment: &Segment| {
+        let found = |segment: &Segment, choice: Choice| {
             let record = Record { name: "r".to_owned(), segments: vec![segment.clone()] };
             let data = Data { period_s, training: vec![record], validation: Vec::new() };
-            let done = identify(
-                &data,
-                &Settings { commanded: true, ..settings(Choice::Fixed(Orders { na: 2, nb: 2, nk: 1 })) },
-            );
+            let done = identify(&data, &Settings { commanded: true, ..settings(choice) });
             let refined = done.unwrap().models.into_iter().find(|model| model.role == Role::Refined).unwrap();
             let found = refined.continuous.unwrap().model;
             [0.5, 2.0, 3.5].map(|f| found.response(f).norm() / truth.response(f).norm() - 1.0)
         };
-        let known = found(&segment);
+        let fixed = || Choice::Fixed(Orders { na: 2, nb: 2, nk: 1 });
+        let known = found(&segment, fixed());
         assert!(known.iter().all(|off| off.abs() < 2e-3), "{known:?}");
-        let unknown = found(&Segment { within: None, ..segment });
+        // Whichever delay a search chooses for the full model, the answer is that of the refined one's.
+        let candidates = (2..=6).flat_map(|order| [1, 2, 3].map(|nk| Orders { na: order, nb: order, nk })).collect();
+        let searched = found(&segment, Choice::Search { candidates, criterion: None });
+        assert!(searched.iter().all(|off| off.abs() < 2e-3), "{searched:?}");
+        let unknown = found(&Segment { within: None, ..segment }, fixed());
         assert!(unknown[2] > 0.02, "{unknown:?}");
     }
 }

@@ -219,6 +219,16 @@ pub(crate) struct RecordFit {
     pub(crate) reduced_rad: DMatrix<f64>,
 }
 
+/// An order that was tried.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Tried {
+    pub(crate) order: usize,
+    /// Error energy of its simulation of the judging records, or else of those fitted, percent; infinite where it grows
+    /// without end.
+    pub(crate) error_percent: f64,
+    pub(crate) description_length: f64,
+}
+
 /// What came out.
 #[derive(Debug, Clone)]
 pub(crate) struct Planes {
@@ -228,10 +238,8 @@ pub(crate) struct Planes {
     pub(crate) delay: usize,
     /// Coefficients of each output.
     pub(crate) coefficients: usize,
-    /// Orders tried, and what each came to: error of the judging records' simulation, percent, or the description
-    /// length.
-    pub(crate) tried: Vec<(usize, f64)>,
-    /// What `tried` is of.
+    pub(crate) tried: Vec<Tried>,
+    /// Whether there are judging records, whose simulation decides.
     pub(crate) by_simulation: bool,
     pub(crate) means: Means,
     pub(crate) full: System,
@@ -335,7 +343,7 @@ pub(crate) fn identify(
     })
 }
 
-/// Fits every order. Returns what each came to, by the judging records if there are any, and the best.
+/// Fits every order. Returns what each came to, and the best.
 ///
 /// Without them only orders count whose simulation of the records fitted is nearly the best: what the currents do not
 /// excite an order may make up, and run far off where they begin.
@@ -343,25 +351,24 @@ fn search(
     (fitted, judging): (&[Motion], &[Motion]),
     orders: RangeInclusive<usize>,
     delay: usize,
-) -> (Vec<(usize, f64)>, Option<arx::Fitted>) {
+) -> (Vec<Tried>, Option<arx::Fitted>) {
     let regression = Regression::of(fitted, *orders.end(), delay);
     let simulated = if judging.is_empty() { fitted } else { judging };
     let fit = |order: usize| {
         let found = regression.fit(order)?;
-        let error = error_percent(&found.system, simulated).unwrap_or(f64::INFINITY);
-        Some((order, error, found))
+        let error_percent = error_percent(&found.system, simulated).unwrap_or(f64::INFINITY);
+        Some((Tried { order, error_percent, description_length: found.description_length }, found))
     };
-    let all: Vec<(usize, f64, arx::Fitted)> = orders.filter_map(fit).collect();
-    let least = all.iter().map(|(_, error, _)| *error).fold(f64::INFINITY, f64::min);
-    let cost = |(_, error, found): &(usize, f64, arx::Fitted)| match judging {
-        [] if *error <= MOST_OF_LEAST * least => found.description_length,
+    let (tried, found): (Vec<Tried>, Vec<arx::Fitted>) = orders.filter_map(fit).unzip();
+    let least = tried.iter().map(|tried| tried.error_percent).fold(f64::INFINITY, f64::min);
+    let cost = |tried: &Tried| match judging {
+        [] if tried.error_percent <= MOST_OF_LEAST * least => tried.description_length,
         [] => f64::INFINITY,
-        _ => *error,
+        _ => tried.error_percent,
     };
-    let tried =
-        all.iter().map(|one| (one.0, if judging.is_empty() { one.2.description_length } else { one.1 })).collect();
-    let finite = all.into_iter().map(|one| (cost(&one), one.2)).filter(|(cost, _)| cost.is_finite());
-    (tried, finite.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found))
+    let costs = tried.iter().map(cost).zip(found).filter(|(cost, _)| cost.is_finite());
+    let best = costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found);
+    (tried, best)
 }
 
 /// The model with `keep` states, or with the fewest that are nearly as good; `None` when it is not stable.

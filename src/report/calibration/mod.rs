@@ -16,7 +16,7 @@ use crate::calibrate::board::Grey;
 use crate::calibrate::bundle::NoSolution;
 use crate::calibrate::geometry::bounds;
 use crate::calibrate::rig::RigCalibration;
-use crate::calibrate::rig::diagnostics::{self, Diagnostic, diagnose};
+use crate::calibrate::rig::diagnostics::{self, Diagnostic};
 use crate::calibrate::rig::expected_error::{Expected, Suggestion, Verdict};
 use crate::calibrate::rig::held_out::{HeldOut, LengthErrors};
 use crate::plural::plural;
@@ -47,9 +47,10 @@ pub(crate) fn page(
     done: &RigCalibration,
     verdict: Option<&Verdict>,
     held: &[Result<HeldOut, NoSolution>],
+    doubts: &[Diagnostic],
 ) -> String {
     // The result comes first, then its basis, then what would improve it, then its origin.
-    let mut body = header(info, verdict, &diagnose(done, held));
+    let mut body = header(info, verdict, doubts);
     body += &cards(verdict, held);
     if let Some(verdict) = verdict {
         body += &which_matters(verdict);

@@ -164,7 +164,7 @@ pub(super) fn known(solution: &Solution) -> String {
     format!(
         "<h3>What else was known</h3>\n<p>Off: how far what was given is from what everything else says, in σ of the \
          two together. Above {CONTRADICTION_SD} the pictures contradict it: measure again. Where everything else would \
-         know it worse by far, a mistake in what was given is not noticed.</p>\n{}",
+         know it worse by far, or hardly at all (–), a mistake in what was given is not noticed.</p>\n{}",
         table(1, &["What", "Given", "Came out", "All else knows it to", "Off (σ)"], &rows)
     )
 }

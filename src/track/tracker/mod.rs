@@ -50,7 +50,7 @@ use warnings::{
 /// models are compared, more of it tells what is noise.
 const TRACKED_PX: f64 = 4.0;
 const COMPARED_PX: f64 = 5.0;
-/// Frames in a row in which the coil is refused for its looks that are told.
+/// The coil is refused for its looks in so many frames in a row: there is a warning.
 const LONG_POOR: u32 = 30;
 
 /// How to track.
@@ -100,8 +100,8 @@ pub struct Tracker {
     before: Vec<Option<Last>>,
     motion: Motion,
     focus: Focus,
-    /// Last frames in which the coil was refused for its looks.
-    poor_in_a_row: u32,
+    /// In how many of the last frames the coil was refused for its looks; `None` before it was ever seen.
+    poor_in_a_row: Option<u32>,
     blending: Blending,
     denoised: Denoised,
     ways: Ways,
@@ -151,7 +151,7 @@ impl Tracker {
             stamps: Resolution::default(),
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
             focus: Focus::of(rig),
-            poor_in_a_row: 0,
+            poor_in_a_row: None,
             blending: Blending::default(),
             denoised: Denoised::default(),
             ways: Ways::new(rig.markers.len()),
@@ -276,8 +276,11 @@ impl Tracker {
         // 4. implausible motion becomes a miss
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         let coil = estimate.markers.get(self.rig.catheter.coil);
-        let is_poor = coil.is_some_and(|coil| matches!(coil.position, Err(Miss::PoorFit { .. })));
-        self.poor_in_a_row = if is_poor { self.poor_in_a_row.saturating_add(1) } else { 0 };
+        self.poor_in_a_row = match coil.map(|coil| &coil.position) {
+            Some(Err(Miss::PoorFit { .. })) => self.poor_in_a_row.map(|frames| frames.saturating_add(1)),
+            Some(Ok(_)) => Some(0),
+            _ => self.poor_in_a_row.and(Some(0)),
+        };
         self.repeats.notice_stall(&estimate);
         // Before σ is widened: pictures that repeat scatter.
         self.repeats.remember(picture, found.windows(), &estimate);
@@ -314,7 +317,7 @@ impl Tracker {
             (self.lag.is_seen(), COLOURS_LAG),
             (self.order.is_wrong(), OUT_OF_ORDER),
             (foreign.is_some(), FOREIGN),
-            (self.poor_in_a_row >= LONG_POOR, LOOKS_OTHERWISE),
+            (self.poor_in_a_row.is_some_and(|frames| frames >= LONG_POOR), LOOKS_OTHERWISE),
             (self.fields.are_woven(), WOVEN),
             (self.fringes.are_seen(), FRINGES),
             (self.exposure.is_seen(), LONG_EXPOSURE),
@@ -330,7 +333,7 @@ impl Tracker {
         let said = match new {
             OTHER_TUBE => diameter,
             STALLED => stalled,
-            FOREIGN => foreign,
+            FOREIGN => foreign.map(|frame| format!("the picture of frame {frame}")),
             _ => None,
         };
         let said = said.unwrap_or_default();

@@ -43,7 +43,7 @@ pub(super) const LOOKS_OTHERWISE: &str = "for the last 30 frames the coil's band
      was refused as `poor_fit`: focus, light or coding have changed, or something is in front of it. If it stays so, \
      track what follows as a recording of its own (--from), with bands taught on it";
 /// After the number of the frame.
-pub(super) const FOREIGN: &str = " shows the bands where they cannot have been, by those before and after it: it is of \
+pub(super) const FOREIGN: &str = " shows the bands where those before and after it do not lead: it is of \
      another time (an old one that a buffer gave once more), or a band is taken for another thing in it; what its row \
      has of them is wrong, σ does not cover that, and the next row may be missing; only the first such frame is named: \
      leave it out";

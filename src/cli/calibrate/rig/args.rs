@@ -5,6 +5,7 @@ use super::super::Length;
 use crate::calibrate::board::Board;
 use crate::calibrate::rig::{RigOptions, Tank, water_index};
 use crate::rig::Draft;
+use crate::source::is_picture_name;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -126,9 +127,10 @@ impl FromStr for TapedTo {
             )
         };
         let (wall, rest) = text.split_once('=').ok_or_else(wrong)?;
+        let is_picture = |name: &str| is_picture_name(Path::new(name));
         let (picture, thickness_m) = match rest.rsplit_once(':') {
             // A name of a file may have a colon, too, but before its ending.
-            Some((picture, thickness)) if Path::new(picture).extension().is_some() => {
+            Some((picture, thickness)) if is_picture(picture) && !is_picture(rest) => {
                 (picture, thickness.parse::<Length>()?.0)
             }
             _ => (rest, 0.0),
@@ -200,7 +202,9 @@ mod tests {
         let taped = |text: &str| text.parse::<TapedTo>().map(|t| (t.picture, t.thickness_m));
         assert_eq!(taped("front_wall=a.png"), Ok(("a.png".into(), 0.0)));
         assert_eq!(taped("front_wall=a.png:3mm"), Ok(("a.png".into(), 3e-3)));
-        assert_eq!(taped("front_wall=12:30.png"), Ok(("12:30.png".into(), 0.0)));
+        for file in ["12:30.png", "shot.1_12:30.png"] {
+            assert_eq!(taped(&format!("front_wall={file}")), Ok((file.into(), 0.0)));
+        }
         for text in ["front_wall=a.png:3", "front_wall=a.png:3in", "front_wall=a.png:"] {
             assert!(taped(text).unwrap_err().contains("3.2mm"), "{text}");
         }

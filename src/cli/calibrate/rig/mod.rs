@@ -57,9 +57,10 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     for warning in warnings.chain(other_squares(&seen, &draft)) {
         tracing::warn!("{warning}");
     }
-    let doubts: Vec<String> = diagnose(&done, &held).iter().map(ToString::to_string).collect();
+    let diagnostics = diagnose(&done, &held);
+    let doubts: Vec<String> = diagnostics.iter().map(ToString::to_string).collect();
     doubts.iter().for_each(|doubt| tracing::warn!("doubt: {doubt}"));
-    let page = calibration::page(&info(args, out, &seen, &done), &done, judged.as_ref(), &held);
+    let page = calibration::page(&info(args, out, &seen, &done), &done, judged.as_ref(), &held, &diagnostics);
     let mut rig = into_draft(draft.clone(), &done);
     let left_out = without_colours(&draft, &rig).into_iter().chain(without_base(&draft));
     for said in left_out.chain(without_distances(&draft, args)) {
