@@ -141,6 +141,39 @@ fn a_picture_shown_again_is_not_answered_and_what_follows_it_is() {
     }
 }
 
+/// All warnings about some frames.
+fn warnings(frames: &[Frame]) -> Vec<String> {
+    let mut tracker = Tracker::new(&rig(), TrackOptions::default()).unwrap();
+    let mut warnings = Vec::new();
+    for frame in frames {
+        tracker.step(frame).unwrap();
+        warnings.extend(std::iter::from_fn(|| tracker.warning()));
+    }
+    warnings
+}
+
+#[test]
+fn a_picture_of_another_time_is_named() {
+    let mut frames = swing();
+    assert_eq!(warnings(&frames), [""; 0]);
+    frames[20].picture = composed(&frames[5].picture, &frames[5].picture, 0);
+    let (old, said) = (frames[20].seq, warnings(&frames));
+    assert!(said.iter().any(|warning| warning.contains(&format!("the picture of frame {old} shows"))), "{said:?}");
+}
+
+#[test]
+fn a_coil_that_is_refused_since_the_focus_changed_is_told() {
+    const CHANGE: usize = 30;
+    let mut frames = frames(FIRST, 90, |picture| composed(picture, picture, 0));
+    for frame in frames.iter_mut().skip(CHANGE) {
+        frame.picture = blurred(&blurred(&blurred(&frame.picture)));
+    }
+    let (estimates, _) = tracked(&frames);
+    assert!(estimates[CHANGE + 10..].iter().all(|estimate| word(estimate) == "poor_fit"));
+    let said = warnings(&frames);
+    assert!(said.iter().any(|warning| warning.contains("the coil's band has not looked as it did before")), "{said:?}");
+}
+
 /// Coded again: with noise of its own.
 #[test]
 fn a_picture_shown_twice_with_other_noise_is_not_answered() {

@@ -197,15 +197,24 @@ mod tests {
     use crate::calibrate::geometry::tests::geometry;
     use crate::calibrate::geometry::{Geometry, Projector};
     use crate::calibrate::tests::gaussian;
-    use nalgebra::Vector2;
+    use nalgebra::{Vector2, Vector3};
 
-    /// Twelve pictures of which those from `first` on are taken after surfaces turned and shifted together.
-    fn with_move(seed: u64, first: usize, together: &[usize], turn_rad: f64) -> Solution {
+    /// Twelve pictures of which those from `first` on are taken after surfaces turned about the camera's centre and
+    /// shifted together: radians, metres.
+    fn with_move(
+        seed: u64,
+        first: usize,
+        together: &[usize],
+        (turn, shift_m): (Vector3<f64>, Vector3<f64>),
+    ) -> Solution {
         let truth = geometry();
-        let mut after = truth.clone();
-        for surface in together {
-            after = after.moved(Parameter::Tilt { surface: *surface, axis: 1 }, turn_rad);
-        }
+        let parameters: Vec<Parameter> = together.iter().flat_map(|surface| Parameter::of_surface(*surface)).collect();
+        let step = |surface: &usize| {
+            let normal = truth.surfaces[*surface].1.plane().normal();
+            let [a, b] = tilt_axes(&normal);
+            [turn.dot(&a), turn.dot(&b), normal.dot(&shift_m)]
+        };
+        let after = truth.stepped(&parameters, &together.iter().flat_map(step).collect::<Vec<_>>());
         let seen = |geometry: &Geometry| Projector::new(geometry, &[]);
         let (seen_before, seen_after) = (seen(&truth), seen(&after));
         let mut bundle = bundle(&truth, 0.05, 1.0, seed);
@@ -222,21 +231,24 @@ mod tests {
     fn a_mirror_that_turned_by_a_tenth_of_a_degree_is_found_with_the_picture() {
         let mirror = geometry().surfaces.iter().position(|(_, s)| matches!(s, Surface::Mirror(_))).unwrap();
         for (seed, first) in [(1, 6), (2, 3), (3, 9)] {
-            let found = moved(&with_move(seed, first, &[mirror], 0.1_f64.to_radians())).unwrap();
+            let turn = Vector3::y() * 0.1_f64.to_radians();
+            let found = moved(&with_move(seed, first, &[mirror], (turn, Vector3::zeros()))).unwrap();
             assert_eq!((found.what.as_str(), found.picture), ("side_mirror", first), "{found:?}");
             assert!(found.evidence > 4.0 * MIN_EVIDENCE, "{found:?}");
         }
     }
 
     #[test]
-    fn what_moved_is_named_where_it_looks_like_nothing_else() {
+    fn a_tank_that_shifted_and_a_camera_that_turned_are_found() {
         let surfaces = geometry().surfaces;
         let walls: Vec<usize> = (0..surfaces.len()).filter(|i| matches!(surfaces[*i].1, Surface::Wall(_))).collect();
-        let found = moved(&with_move(4, 6, &walls, 1_f64.to_radians())).unwrap();
+        let shift_m = Vector3::new(4e-3, 0.0, 0.0);
+        let found = moved(&with_move(4, 6, &walls, (Vector3::zeros(), shift_m))).unwrap();
         assert_eq!((found.what.as_str(), found.picture), ("the tank", 6), "{found:?}");
+        // A camera that turns often looks like a mirror that does.
         let all: Vec<usize> = (0..surfaces.len()).collect();
-        let found = moved(&with_move(5, 6, &all, 0.3_f64.to_radians())).unwrap();
-        assert_eq!(found.picture, 6, "{found:?}");
+        let turn = Vector3::y() * 0.1_f64.to_radians();
+        assert_eq!(moved(&with_move(5, 6, &all, (turn, Vector3::zeros()))).unwrap().picture, 6);
     }
 
     /// With errors that the corners of each picture have in common, some motion always explains a part of their

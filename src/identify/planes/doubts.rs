@@ -38,3 +38,24 @@ pub(super) fn doubts(together: Option<&Together>, names: &[String], judged: &[Re
     }
     doubts
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::DMatrix;
+
+    #[test]
+    fn a_reduced_model_that_leaves_much_is_told_if_the_full_one_does_not() {
+        let fit = |full: [f64; 2], reduced: [f64; 2]| {
+            let none = DMatrix::zeros(0, 2);
+            let (full_rad, reduced_rad) = (none.clone(), none);
+            RecordFit { name: "run".to_owned(), fitted: true, full, reduced, full_rad, reduced_rad }
+        };
+        let told = |fit: RecordFit| doubts(None, &[], &[fit]).iter().map(ToString::to_string).collect::<Vec<_>>();
+        assert_eq!(told(fit([0.3; 2], [0.4; 2])), [""; 0]);
+        let [one] = &told(fit([0.3; 2], [58.0, 0.4]))[..] else { panic!("one doubt") };
+        assert!(one.contains(OUTPUTS[0]) && one.contains("by the reduced model"), "{one}");
+        let [one] = &told(fit([0.3, 90.0], [0.3, 95.0]))[..] else { panic!("one doubt") };
+        assert!(one.contains(OUTPUTS[1]) && one.contains("by the full model"), "{one}");
+    }
+}
