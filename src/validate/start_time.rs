@@ -108,8 +108,8 @@ pub(super) fn from_currents(currents: &[Current], path: &DesiredPath, pause_ns: 
             seconds(start_ns)
         ))
     } else {
-        let is_other = 2 * (change_ns - start_ns).abs() > pause_ns;
-        (is_other && change_ns < start_ns).then(|| {
+        let is_before = start_ns.saturating_sub(change_ns) > pause_ns / 2;
+        is_before.then(|| {
             format!(
                 "the currents repeat with the path from {:.3} s on: what they do before, from {:.3} s on, is no part \
                  of it",
@@ -139,7 +139,7 @@ impl Repeating {
         let changes: Vec<(i64, &[f64])> =
             known.chunk_by(|a, b| !is_other(a.1, b.1)).filter_map(|equal| equal.first().copied()).collect();
         let length = path.points.len();
-        let period_ns = period_ns(&changes, length as i64 * pause_ns);
+        let period_ns = period_ns(&changes, pause_ns.saturating_mul(length as i64));
         let at = |ns: f64| known.get(known.partition_point(|(from_ns, _)| *from_ns as f64 <= ns).checked_sub(1)?);
         let most = ((path.periods - 1) as f64 * length as f64 * MAX_UNLIKE) as usize;
         // How many commands of all periods but the last are not as one period later; `None` if more than `most`, or if
@@ -165,18 +165,22 @@ impl Repeating {
             }
             Some(unlike)
         };
-        let starts = changes.iter().flat_map(|(ns, _)| (0..=UNCHANGED).map(move |before| ns - before * pause_ns));
+        let starts = changes
+            .iter()
+            .flat_map(|(ns, _)| (0..=UNCHANGED).map(move |before| ns.saturating_sub(before.saturating_mul(pause_ns))));
         let mut found: Vec<(usize, i64)> = starts.filter_map(|ns| Some((unlike(ns)?, ns))).collect();
         // Of those that repeat best, the first in time.
         found.sort_unstable();
         let (least, first_ns) = *found.first()?;
-        let repeats_later = found.iter().any(|(unlike, ns)| *unlike == least && 2 * (ns - first_ns) > pause_ns);
+        let repeats_later =
+            found.iter().any(|(unlike, ns)| *unlike == least && ns.saturating_sub(first_ns) > pause_ns / 2);
         // A log of all commands, not of changes alone, tells which is the first of them.
+        let quarter_ns = pause_ns.unsigned_abs() / 4;
         let logged = |ns: i64| {
-            let near = known.iter().map(|(own_ns, _)| *own_ns).filter(|own_ns| 4 * (own_ns - ns).abs() < pause_ns);
-            near.min_by_key(|own_ns| (own_ns - ns).abs())
+            let near = known.iter().map(|(own_ns, _)| *own_ns).filter(|own_ns| own_ns.abs_diff(ns) < quarter_ns);
+            near.min_by_key(|own_ns| own_ns.abs_diff(ns))
         };
-        let begins_the_log = logged(first_ns).is_some() && logged(first_ns - pause_ns).is_none();
+        let begins_the_log = logged(first_ns).is_some() && logged(first_ns.saturating_sub(pause_ns)).is_none();
         let may_be_later = repeats_later && !begins_the_log;
         Some(Self { start_ns: logged(first_ns).unwrap_or(first_ns), may_be_later })
     }
@@ -185,13 +189,13 @@ impl Repeating {
 /// The time after which changes of the currents come again, nanoseconds; `nominal_ns` where they do not. An amplifier
 /// keeps a pause to a few parts in a thousand, by which the last of many commands would be taken for its neighbour.
 fn period_ns(changes: &[(i64, &[f64])], nominal_ns: i64) -> f64 {
-    let off = |a: &(i64, &[f64]), b: &(i64, &[f64])| b.0 - a.0 - nominal_ns;
+    let off = |a: &(i64, &[f64]), b: &(i64, &[f64])| b.0.saturating_sub(a.0).saturating_sub(nominal_ns);
     let near_ns = (nominal_ns as f64 * PAUSE_OFF) as i64;
     let again = |one: &(i64, &[f64])| {
         let from = changes.partition_point(|other| off(one, other) < -near_ns);
         let near = changes.get(from..)?.iter().take_while(|other| off(one, other) <= near_ns);
         let alike = near.filter(|other| !is_other(one.1, other.1)).map(|other| off(one, other));
-        alike.min_by_key(|off| off.abs())
+        alike.min_by_key(|off| off.unsigned_abs())
     };
     nominal_ns as f64 + median(changes.iter().filter_map(again).map(|off| off as f64)).unwrap_or(0.0)
 }

@@ -74,7 +74,7 @@ pub(super) fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Re
     });
     let (gain, gain_sd) = mean_with_sd(&clipped(&gains.collect::<Vec<_>>()));
     tracing::debug!(
-        "exposure from thirds of {} pairs of frames: {best:?} s; ln σ² is smaller by {gain:.2e} ± {gain_sd:.1e} with it",
+        "exposure from thirds of {} pairs of frames: {best:?} s; ln σ² is less by {gain:.2e} ± {gain_sd:.1e} with it",
         curves.len()
     );
     let is_seen = mean > MIN_SDS * sd && mean > MIN_PART * interval_s;

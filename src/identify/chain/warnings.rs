@@ -89,7 +89,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, settings: &Setting
         Some(spectrum) => {
             let output_hz = spectrum.output_ends_hz;
             let factor = (rate_hz / (OVERSAMPLED * output_hz)).floor() as usize;
-            // The refined model has a noise of its own, and is as good at any rate.
+            // Noise does not decide the refined model: it is as good at any rate.
             if factor >= 2 && done.model(Role::Refined).is_none() {
                 diagnostics.push(Diagnostic::Oversampled { output_hz, rate_hz, factor });
             }

@@ -49,7 +49,8 @@ pub(crate) enum RecordedError {
     /// Commands, but none on the camera's clock.
     #[error(
         "{name}: has {} of coil currents, but no frame with the host's time (`host_stamp_ns`), by which they would be \
-         brought to the camera's clock; give a table of them on that clock with --currents", plural(*samples as u64, "sample")
+         brought to the camera's clock; give a table of them on that clock with --currents",
+        plural(*samples as u64, "sample")
     )]
     NoCommonClock {
         /// The recording.
@@ -303,8 +304,8 @@ mod tests {
         assert_eq!(series.output, [Some(0.0), None, None, None, Some(2.0), Some(3.0)]);
         let drive: Vec<f64> = series.drive.iter().flatten().map(|d| (d * 1e9).round() / 1e9).collect();
         assert_eq!(drive, [2.0, 3.0, 1.0, -1.0, -1.0, -1.0]);
-        // Later by 5 ms: zero before the first command, which comes in the middle of a frame; by 15 ms, nothing is known
-        // of the frame before that one.
+        // Later by 5 ms: zero before the first command, which comes in the middle of a frame; by 15 ms, nothing is
+        // known of the frame before that one.
         let late = observed.series(&held, None, 0.005).unwrap();
         assert!((late.drive[0].unwrap() - 0.5).abs() < 1e-9 && (late.drive[1].unwrap() - 3.0).abs() < 1e-9);
         let later = observed.series(&held, None, 0.015).unwrap();
