@@ -145,8 +145,8 @@ impl PictureMaker {
         Ok((self.convert(&frame, reduced)?, format))
     }
 
-    /// Quantisation where the coder quantises but the decoder does not report it. (libav's decoders of MPEG-2 and MPEG-4
-    /// report it for all pictures but the last.)
+    /// Quantisation where the coder quantises but the decoder does not report it. (libav's decoders of MPEG-2 and
+    /// MPEG-4 report it for all pictures but the last.)
     fn assumed(&mut self, size_px: [u32; 2]) -> Quantisation {
         if !self.tells_steps && self.first("quantisation") {
             tracing::warn!(
