@@ -51,10 +51,11 @@ impl fmt::Display for Outliers {
 }
 
 /// The output's distance from the model, compared with that of the neighbours: whatever the model does not explain
-/// but is slower than the samples is no outlier.
-pub(super) fn outliers(model: &Polynomials, record: &Record, period_s: f64) -> Option<Outliers> {
+/// but is slower than the samples is no outlier. `measured` is the same record with its outputs as they were measured,
+/// which are told.
+pub(super) fn outliers(model: &Polynomials, record: &Record, measured: &Record, period_s: f64) -> Option<Outliers> {
     let mut all: Vec<(f64, bool, Outliers)> = Vec::new();
-    for segment in &record.segments {
+    for (segment, measured) in record.segments.iter().zip(&measured.segments) {
         let modelled = output(model, segment, Kind::Simulation(InitialState::Rest));
         let left: Vec<f64> = segment.output.iter().zip(&modelled).map(|(y, m)| y - m).collect();
         let away = left.windows(3).map(|near| (near[1] - 0.5 * (near[0] + near[2])).abs()).collect::<Vec<_>>();
@@ -66,7 +67,8 @@ pub(super) fn outliers(model: &Polynomials, record: &Record, period_s: f64) -> O
             // A wrong value spoils its neighbours' comparison as well.
             let is_worst =
                 [k.wrapping_sub(1), k + 1].iter().all(|at| away.get(*at).is_none_or(|next| *next <= away[k]));
-            let outliers = Outliers { count, sample, time_s, value: segment.output[t], modelled: modelled[t] };
+            let value = *measured.output.get(t)?;
+            let outliers = Outliers { count, sample, time_s, value, modelled: modelled[t] };
             away[k].is_finite().then_some((away[k], is_worst, outliers))
         };
         all.extend((0..away.len()).filter_map(of));
@@ -145,20 +147,20 @@ mod tests {
     #[test]
     fn wrong_values_are_named_and_a_poor_model_is_not() {
         let (model, clean) = record(|_, y| y);
-        assert_eq!(outliers(&model, &clean, 0.01), None);
+        assert_eq!(outliers(&model, &clean, &clean, 0.01), None);
         let half = Polynomials { b: vec![0.05], ..model.clone() };
-        assert_eq!(outliers(&half, &clean, 0.01), None);
+        assert_eq!(outliers(&half, &clean, &clean, 0.01), None);
         let (model, wrong) = record(|t, y| if t == 700 || t == 1500 { -999.0 } else { y });
-        let found = outliers(&model, &wrong, 0.01).unwrap();
+        let found = outliers(&model, &wrong, &wrong, 0.01).unwrap();
         assert!(found.sample == 800 || found.sample == 1600, "{found:?}");
         assert_eq!(found.value, -999.0);
         assert_eq!(found.count, 2);
         for length in 2..4 {
             let (model, row) = record(|t, y| if (700..700 + length).contains(&t) { -9999.0 } else { y });
-            assert_eq!(outliers(&model, &row, 0.01).unwrap().value, -9999.0);
+            assert_eq!(outliers(&model, &row, &row, 0.01).unwrap().value, -9999.0);
         }
         let (model, many) = record(|t, y| if t % 50 == 7 { y + 0.5 } else { y });
-        assert_eq!(outliers(&model, &many, 0.01).unwrap().count, 40);
+        assert_eq!(outliers(&model, &many, &many, 0.01).unwrap().count, 40);
     }
 
     #[test]

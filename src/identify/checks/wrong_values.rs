@@ -30,7 +30,7 @@ pub(in crate::identify) fn wrong_values(
     let of_record = |(record, measured): (&Record, &Record)| {
         let name = || record.name.clone();
         let outlying = model.and_then(|model| {
-            let outliers = outliers::outliers(&model.model, record, period_s)?;
+            let outliers = outliers::outliers(&model.model, record, measured, period_s)?;
             Some(Diagnostic::Outlying { record: name(), outliers })
         });
         let at_limit = outliers::limit(model.map(|model| &model.model), measured);
