@@ -48,7 +48,7 @@ impl Shifted {
     }
 }
 
-/// Improves lags and offsets of periods of `length` commands.
+/// Improves lags and offsets of periods of a path.
 ///
 /// The common motion has as many harmonics as a catheter makes of the path's: with more, its slope is mostly noise, and
 /// so are the lags.
@@ -57,11 +57,10 @@ impl Shifted {
 /// move a lag by as much as these. `None` where there is no common motion, or a single period.
 pub(super) fn align(periods: &mut [Shifted], path: &[Point3<f64>]) -> Option<f64> {
     let length = path.len();
-    let of_path = MADE * harmonics(path);
+    let points: usize = periods.iter().map(|period| period.points.len()).sum();
+    let harmonics = (MADE * harmonics(path)).min(length / 4).min(points / POINTS).clamp(1, HARMONICS);
     let mut last = None;
     for _ in 0..ROUNDS {
-        let points: usize = periods.iter().map(|period| period.points.len()).sum();
-        let harmonics = of_path.min(length / 4).min(points / POINTS).clamp(1, HARMONICS);
         let motion = Motion::through(periods, length, harmonics)?;
         periods.iter_mut().for_each(|period| motion.shift(period));
         last = Some(motion);

@@ -62,16 +62,11 @@ pub(crate) struct TwoLenses {
 
 /// Pictures before and after a moment at which focus or zoom were moved, or the part of the sensor that is read.
 pub(super) fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
-    // Clusters in the order of their first pictures.
-    let mut order: Vec<usize> = Vec::with_capacity(solved.parts.len());
-    for cluster in &solved.clusters {
-        if !order.contains(cluster) {
-            order.push(*cluster);
-        }
-    }
+    let clusters = solved.parts.len();
     let at = |part: f64| {
-        let (before, _) = order.split_at_checked((part * order.len() as f64).round() as usize)?;
-        let first: Vec<bool> = (0..solved.parts.len()).map(|cluster| before.contains(&cluster)).collect();
+        // They are numbered in the order of their first pictures.
+        let before = (part * clusters as f64).round() as usize;
+        let first: Vec<bool> = (0..clusters).map(|cluster| cluster < before).collect();
         let roughly = solved_apart(solved, &solved.shape, corners, &first)?;
         if off_chi2(&roughly.1)? < MOVED_CHI2 {
             return None;

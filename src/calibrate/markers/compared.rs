@@ -8,6 +8,10 @@ use crate::track::{TrackOptions, Tracker};
 
 /// Longest time between a frame and its follower, seconds.
 pub(super) const LONGEST_PAIR_S: f64 = 0.06;
+/// Independent thirds of the frames, whose results give the σ of what is fitted.
+pub(super) const PARTS: usize = 3;
+/// By how many σ something must be fitted better, or be beyond zero, to count.
+pub(super) const MIN_GAIN_SDS: f64 = 3.0;
 /// A difference beyond this many times the median one is that of a fit that ended elsewhere, and says nothing of the
 /// rig.
 const CLIPPED: f64 = 3.0;

@@ -1,7 +1,7 @@
 //! Parameters fitted to the pictures: places of the bands along the tube, blur of the lens, offset and reach of the
 //! chroma samples, gamma, exposure.
 
-use crate::calibrate::markers::compared::{Compared, clipped};
+use crate::calibrate::markers::compared::{Compared, MIN_GAIN_SDS, PARTS, clipped};
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, motion_blur, track, view_blurs};
 use crate::estimate::Estimate;
@@ -33,12 +33,11 @@ const CHROMA_LIMITS_PX: (f64, f64) = (-1.5, 1.5);
 const CHROMA_REACH_STEP: f64 = 0.2;
 const CHROMA_REACH_LIMITS: (f64, f64) = (0.5, 1.0);
 /// Where the search for gamma begins, its step, and its limits; it counts from a mean ln σ² of the residuals that is
-/// smaller by this much, and by this many σ of the difference.
+/// smaller by this much, and by [`MIN_GAIN_SDS`].
 const FIRST_GAMMA: f64 = 0.5;
 const GAMMA_STEP: f64 = 0.1;
 const GAMMAS: (f64, f64) = (0.25, 1.4);
 const MIN_GAIN: f64 = 0.001;
-const MIN_GAIN_SDS: f64 = 3.0;
 /// Where the search for the rounding of the tube's end begins, its step and longest, and the least that counts, radii.
 const FIRST_ROUNDING: f64 = 0.7;
 const ROUNDING_STEP: f64 = 0.2;
@@ -52,8 +51,7 @@ const LENGTHS: (f64, f64) = (0.74, 1.36);
 /// A search that ends further from where it began than this part of the length is repeated from there; most searches.
 const LENGTH_SETTLED: f64 = 0.01;
 const MOST_SEARCHES: usize = 4;
-/// Independent thirds of the frames, whose results give the σ of a distance, and its least σ, metres.
-const PARTS: usize = 3;
+/// Least σ of a distance that was fitted, metres.
 const MIN_FITTED_SD_M: f64 = 0.01e-3;
 
 /// Finds places along the tube that the rig lacks, from those that it has, or else from the outer edge of the first

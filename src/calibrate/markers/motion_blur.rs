@@ -3,12 +3,12 @@
 //! In: pairs of frames that follow each other. Out: the exposure; none where it cannot be seen.
 //!
 //! Method. Of the pairs in which the tube moves furthest, how well the image model fits is computed for exposures from
-//! zero to the whole interval. The best one is found from each third of the pairs; their scatter is its σ. It counts if
-//! the pairs that were not used to find it are fitted better with it than without: the best of many exposures fits a
-//! little better also where there is no blur.
+//! zero to the whole interval. The best one is found from each third of the pairs; their scatter is its σ. It counts
+//! if the pairs that were not used to find it are fitted better with it than without: the best of many exposures fits
+//! a little better also where there is no blur.
 
 use crate::calibrate::markers::MarkersError;
-use crate::calibrate::markers::compared::{LONGEST_PAIR_S, clipped, clipped_mean};
+use crate::calibrate::markers::compared::{LONGEST_PAIR_S, MIN_GAIN_SDS, PARTS, clipped, clipped_mean};
 use crate::calibrate::markers::line_search::minimise;
 use crate::estimate::MarkerEstimate;
 use crate::median::upper_median;
@@ -19,16 +19,12 @@ use crate::track::{TrackOptions, Tracker};
 
 /// Number of exposures tried, from zero to the whole interval between two frames.
 const EXPOSURES: usize = 9;
-/// Pairs of frames that it is fitted to, the fastest, and the parts of them that are fitted separately.
+/// Pairs of frames that it is fitted to, the fastest.
 const PAIRS: usize = 24;
-const PARTS: usize = 3;
 /// A band that is this many σ from where it was has moved.
 const MOVES_SDS: f64 = 4.0;
-/// The least exposure that counts, in σ and as a fraction of the interval: blur over a tenth of the motion is
-/// negligible. And by how many σ pairs must be fitted better with it.
-const MIN_SDS: f64 = 3.0;
+/// The least exposure that counts, as a fraction of the interval: blur over a tenth of the motion is negligible.
 const MIN_PART: f64 = 0.1;
-const MIN_GAIN_SDS: f64 = 3.0;
 
 /// Two frames, one after the other.
 struct Pair<'a> {
@@ -74,10 +70,10 @@ pub(super) fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Re
     });
     let (gain, gain_sd) = mean_with_sd(&clipped(&gains.collect::<Vec<_>>()));
     tracing::debug!(
-        "exposure from thirds of {} pairs of frames: {best:?} s; ln σ² is less by {gain:.2e} ± {gain_sd:.1e} with it",
+        "exposure from thirds of {} pairs of frames: {best:?} s; ln σ² less by {gain:.2e} ± {gain_sd:.1e} with it",
         curves.len()
     );
-    let is_seen = mean > MIN_SDS * sd && mean > MIN_PART * interval_s;
+    let is_seen = mean > MIN_GAIN_SDS * sd && mean > MIN_PART * interval_s;
     // Microseconds are beyond the accuracy.
     Ok((is_seen && gain > MIN_GAIN_SDS * gain_sd).then(|| (mean * 1e6).round() / 1e6))
 }

@@ -66,8 +66,8 @@ pub enum Diagnostic {
     },
     /// A lens without σ.
     #[error(
-        "the rig file has no covariance of the lens (calibrate camera writes it): the lens is taken as exact, and no σ \
-         contains its errors"
+        "the rig file has no covariance of the lens (calibrate camera writes it): the lens is taken as exact, and no \
+         σ contains its errors"
     )]
     ExactLens,
     /// Wrong lengths.

@@ -16,8 +16,8 @@
 //! Pictures in which the board lies alike are one cluster, and stand where the first of them does. Boards taped to
 //! walls count as before the move.
 //!
-//! Cannot tell: a move with a single cluster on one side; one much smaller than σ, and with fewer than ten clusters all
-//! but clear ones; two moves from one; a move from errors of the board or the lens that change along with the order of
+//! Cannot tell: a move with a single cluster on one side; one much smaller than σ, and with fewer than ten clusters
+//! all but clear ones; two moves from one; a move from errors of the board or the lens that change along with the order of
 //! the pictures, as when the board is carried from one end of the tank to the other.
 
 use crate::calibrate::bundle::Solution;
@@ -59,15 +59,9 @@ pub(crate) struct Moved {
 
 /// The move for which there is most evidence, if that is no chance.
 pub(crate) fn moved(solution: &Solution) -> Option<Moved> {
-    // The first picture of each cluster.
-    let mut firsts: Vec<usize> = Vec::new();
-    for (picture, cluster) in solution.clusters.iter().enumerate() {
-        if !firsts.iter().any(|first| solution.clusters[*first] == *cluster) {
-            firsts.push(picture);
-        }
-    }
-    let part = |first: &usize| solution.parts.get(solution.clusters[*first]);
-    let mut parts: Vec<&Part> = firsts.iter().map(part).collect::<Option<_>>()?;
+    // Clusters are numbered in the order of their first pictures; those of taped boards alone come last.
+    let last = *solution.clusters.iter().max()?;
+    let mut parts: Vec<&Part> = solution.parts.get(..=last)?.iter().collect();
     let motions = motions(solution);
     let Evidence { gain, evidence, motion, at } = most_evidence(&parts, &motions, 0.0)?;
     // Other orders that make the same two groups gain the same, but for rounding.
@@ -86,7 +80,8 @@ pub(crate) fn moved(solution: &Solution) -> Option<Moved> {
         }
     }
     let is_no_chance = as_much <= most(MAX_CHANCE) || evidence > CLEAR;
-    is_no_chance.then(|| Moved { what: motions[motion].0.clone(), picture: firsts[at], evidence })
+    let picture = solution.clusters.iter().position(|cluster| *cluster == at)?;
+    is_no_chance.then(|| Moved { what: motions[motion].0.clone(), picture, evidence })
 }
 
 /// Evidence for a move: which of the motions, and before which cluster.
@@ -140,7 +135,6 @@ fn motions(solution: &Solution) -> Vec<(String, DMatrix<f64>)> {
     let all: Vec<usize> = (0..surfaces.len()).collect();
     let (walls, mirrors): (Vec<usize>, Vec<usize>) =
         all.iter().partition(|surface| matches!(surfaces[**surface].1, Surface::Wall(_)));
-    let mut of_mirrors = mirrors.iter().map(|mirror| (surfaces[*mirror].0.clone(), vec![*mirror])).collect();
     // Without anything else, a camera's motion is the mirror's.
     let mut movable = Vec::new();
     if all.len() > 1 {
@@ -149,7 +143,7 @@ fn motions(solution: &Solution) -> Vec<(String, DMatrix<f64>)> {
     if !walls.is_empty() && !mirrors.is_empty() {
         movable.push(("the tank".to_owned(), walls));
     }
-    movable.append(&mut of_mirrors);
+    movable.extend(mirrors.into_iter().map(|mirror| (surfaces[mirror].0.clone(), vec![mirror])));
     movable.into_iter().filter_map(|(what, together)| Some((what, directions(solution, &together)?))).collect()
 }
 
@@ -172,7 +166,7 @@ fn directions(solution: &Solution, together: &[usize]) -> Option<DMatrix<f64>> {
     let svd = solution.whitening.tr_solve_lower_triangular(&by_motion)?.svd(true, false);
     let least = RANK * svd.singular_values.max();
     let kept: Vec<usize> = (0..svd.singular_values.len()).filter(|i| svd.singular_values[*i] > least).collect();
-    (!kept.is_empty()).then(|| svd.u.map(|u| u.select_columns(&kept)))?
+    (!kept.is_empty()).then_some(svd.u?.select_columns(&kept))
 }
 
 /// By how much a motion in some directions lowers the sum of squares, the number of these, and that motion.

@@ -45,8 +45,8 @@ pub(super) const LOOKS_OTHERWISE: &str = "for the last 30 frames the coil's band
 /// After the number of the frame.
 pub(super) const FOREIGN: &str = " shows the bands where those before and after it do not lead: it is of \
      another time (an old one that a buffer gave once more), or a band is taken for another thing in it; what its row \
-     has of them is wrong, σ does not cover that, and the next row may be missing; only the first such frame is named: \
-     leave it out";
+     has of them is wrong, σ does not cover that, and the next row may be missing; only the first such frame is \
+     named: leave it out";
 pub(super) const UNSTEADY: &str = "a band scatters about a smooth motion by more than four times its σ: pictures or \
      their stamps are in the wrong order or unevenly spaced (conversion of the frame rate), or it moves faster than \
      these frames show; σ is widened by as much, but single rows may be worse";
