@@ -135,7 +135,12 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
         }
     } else {
         damage(out, &info.condition, info)?;
-        writeln!(out, "  `catoptra log repair` restores it")?;
+        let can_be_read = info.topics.iter().any(|topic| topic.messages > 0);
+        writeln!(
+            out,
+            "  {}",
+            if can_be_read { "`catoptra log repair` restores it" } else { "nothing in it can be restored" }
+        )?;
     }
     if let Some((first, last)) = info.span_ns {
         let clock = without_control_characters(info.clock.as_deref().unwrap_or("unknown"));

@@ -22,7 +22,7 @@ const PIECE: usize = 1 << 14;
 pub(super) enum Cell {
     Text(String),
     Whole(i64),
-    /// A number, if known, and its decimals in text; without them as many as needed.
+    /// A number, if known and finite, and its decimals in text; without them as many as needed.
     Real(Option<f64>, Option<usize>),
     /// A time in nanoseconds, written in seconds.
     Seconds(i64),
@@ -33,9 +33,11 @@ impl Cell {
         match self {
             Self::Text(text) => text,
             Self::Whole(number) => number.to_string(),
-            Self::Real(None, _) => String::new(),
-            Self::Real(Some(value), Some(decimals)) => fixed(value, decimals),
-            Self::Real(Some(value), None) => value.to_string(),
+            Self::Real(value, decimals) => match (value.filter(|value| value.is_finite()), decimals) {
+                (None, _) => String::new(),
+                (Some(value), Some(decimals)) => fixed(value, decimals),
+                (Some(value), None) => value.to_string(),
+            },
             Self::Seconds(ns) => decimal_seconds(ns),
         }
     }
@@ -52,7 +54,7 @@ impl Cell {
         match (self, column) {
             (Self::Text(text), Cells::Text(cells)) => cells.push(Some(text)),
             (Self::Whole(number), Cells::Whole(cells)) => cells.push(Some(number)),
-            (Self::Real(value, _), Cells::Real(cells)) => cells.push(value),
+            (Self::Real(value, _), Cells::Real(cells)) => cells.push(value.filter(|value| value.is_finite())),
             (Self::Seconds(ns), Cells::Real(cells)) => cells.push(Some(seconds(ns))),
             // All cells of a column have the kind of the first.
             _ => {}

@@ -133,6 +133,8 @@ struct Tables<'a> {
     has_ticks: bool,
     /// Samples of currents by their number of coils.
     samples: BTreeMap<usize, u64>,
+    /// Names of the markers, in the order of their columns.
+    markers: Vec<String>,
     /// Number of the last frame.
     last: Option<u64>,
     /// The first frame whose number does not rise, and the number before.
@@ -157,6 +159,7 @@ impl<'a> Tables<'a> {
             converted: Converted::default(),
             has_ticks: layout.ticks,
             samples: BTreeMap::new(),
+            markers: Vec::new(),
             last: None,
             restart: None,
         }
@@ -178,7 +181,11 @@ impl<'a> Tables<'a> {
             Some(rows) => rows,
             none => none.insert(Rows::begin(self.kind, self.out, names(estimate, self.layout.ticks), &row)?),
         };
-        if row.len() != rows.width() {
+        let names = estimate.markers.iter().map(|marker| &marker.name);
+        if self.markers.is_empty() {
+            self.markers = names.clone().cloned().collect();
+        }
+        if row.len() != rows.width() || !names.eq(&self.markers) {
             return Err(self.wrong(format!("frame {} has other markers than those before", estimate.seq)));
         }
         self.converted.frames += 1;

@@ -142,7 +142,7 @@ pub(crate) fn settings(choice: Choice) -> Settings {
         bootstrap: 0,
         repeats: None,
         commanded: false,
-        shifted: false,
+        doubtful: false,
     }
 }
 

@@ -24,9 +24,9 @@ pub(crate) fn whole(message: &DynamicMessage, field: &str) -> u64 {
     number(message, field).and_then(|n| u64::try_from(n).ok()).unwrap_or(0)
 }
 
-/// A floating-point number.
+/// A floating-point number; one that is not finite stands for a value that was not measured.
 pub(crate) fn float(message: &DynamicMessage, field: &str) -> Option<f64> {
-    message.get_field_by_name(field)?.as_f64()
+    message.get_field_by_name(field)?.as_f64().filter(|value| value.is_finite())
 }
 
 /// Text.

@@ -13,6 +13,7 @@ pub(crate) mod records;
 mod repair;
 pub(crate) mod ros2;
 pub(crate) mod schema;
+pub(crate) mod sequence;
 pub(crate) mod typed;
 
 use std::io::Read as _;

@@ -67,7 +67,7 @@ fn drift(alarm: &DynamicMessage) -> DriftAlarm {
         view: text(alarm, "view").unwrap_or_default(),
         size_px: optional_float(alarm, "size_px"),
         sd_px: optional_float(alarm, "sd_px"),
-        size_m: float(alarm, "size_m").unwrap_or(f64::NAN),
+        size_m: or_nan(alarm, "size_m"),
         sd_m: optional_float(alarm, "sd_m"),
         over_ns: optional_number(alarm, "over_ns"),
     }
@@ -87,9 +87,9 @@ fn position(message: &DynamicMessage) -> Option<Position> {
     Some(Position {
         in_camera_m: point(xyz(message, "in_camera_m")?),
         covariance_in_camera_m2: floats(message, "covariance_in_camera_m2"),
-        in_base_m: xyz(message, "in_base_m").map(point),
+        in_base_m: optional_xyz(message, "in_base_m")?.map(point),
         covariance_in_base_m2: floats(message, "covariance_in_base_m2"),
-        sd_m: float(message, "sd_m")?,
+        sd_m: or_nan(message, "sd_m"),
     })
 }
 
@@ -112,10 +112,10 @@ fn band(message: &DynamicMessage) -> Option<Band> {
         centre_px: Point2 { x, y },
         covariance_px2: floats(message, "covariance_px2"),
         axis: vector(xy("axis")?),
-        axis_sd_rad: float(message, "axis_sd_rad")?,
+        axis_sd_rad: or_nan(message, "axis_sd_rad"),
         residual_px: vector(xy("residual_px")?),
-        fit_rms: float(message, "fit_rms")?,
-        separation: float(message, "separation")?,
+        fit_rms: or_nan(message, "fit_rms"),
+        separation: or_nan(message, "separation"),
     })
 }
 
@@ -124,18 +124,18 @@ fn tangent(message: &DynamicMessage) -> Option<Tangent> {
     Some(Tangent {
         in_camera: vector(xyz(message, "in_camera")?),
         covariance_in_camera_rad2: floats(message, "covariance_in_camera_rad2"),
-        in_base: xyz(message, "in_base").map(vector),
+        in_base: optional_xyz(message, "in_base")?.map(vector),
         covariance_in_base_rad2: floats(message, "covariance_in_base_rad2"),
-        sd_rad: float(message, "sd_rad")?,
+        sd_rad: or_nan(message, "sd_rad"),
     })
 }
 
 fn angles(message: &DynamicMessage) -> Option<Angles> {
     Some(Angles {
         theta_rad: float(message, "theta_rad")?,
-        theta_sd_rad: float(message, "theta_sd_rad")?,
-        polar_rad: float(message, "polar_rad")?,
-        azimuth_rad: float(message, "azimuth_rad")?,
+        theta_sd_rad: or_nan(message, "theta_sd_rad"),
+        polar_rad: or_nan(message, "polar_rad"),
+        azimuth_rad: or_nan(message, "azimuth_rad"),
     })
 }
 
@@ -148,6 +148,16 @@ fn status(message: &DynamicMessage, field: &str) -> Status {
         moved_px: optional_float(&status, "moved_px"),
         separation: optional_float(&status, "separation"),
     }
+}
+
+/// `Some(None)` where it is absent; `None` where it is not finite.
+fn optional_xyz(message: &DynamicMessage, field: &str) -> Option<Option<[f64; 3]>> {
+    if message.has_field_by_name(field) { xyz(message, field).map(Some) } else { Some(None) }
+}
+
+/// What belongs to a value that was measured; NaN where it is not known.
+fn or_nan(message: &DynamicMessage, field: &str) -> f64 {
+    float(message, field).unwrap_or(f64::NAN)
 }
 
 fn optional_float(message: &DynamicMessage, field: &str) -> Option<f64> {

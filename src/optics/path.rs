@@ -67,7 +67,7 @@ impl OpticalPath {
     /// # Errors
     /// [`NoRay`] when the ray is lost on the way.
     pub(crate) fn trace_normalised(&self, normalised: &Point2<f64>) -> Result<Ray, NoRay> {
-        Ok(self.fold(normalised)?.ray)
+        Ok(self.fold::<0>(normalised)?.ray)
     }
 
     /// As [`OpticalPath::trace`], with derivatives.
@@ -117,7 +117,7 @@ impl OpticalPath {
     }
 
     /// Folds the ray of a normalised image point through all surfaces and rejects one that no light takes.
-    fn fold(&self, normalised: &Point2<f64>) -> Result<RayWithJacobian, NoRay> {
+    fn fold<const D: usize>(&self, normalised: &Point2<f64>) -> Result<RayWithJacobian<D>, NoRay> {
         let folded = solve::fold(&self.surfaces, normalised)?;
         match folded.lost {
             Some(why) => Err(why),

@@ -10,7 +10,7 @@
 //! next search.
 
 use crate::optics::{NoRay, Ray, RayWithJacobian, Surface};
-use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Point2, Point3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Point2, Point3, SMatrix, Vector2, Vector3};
 
 /// Newton steps after which a start is given up; two to four are usual.
 const MAX_STEPS: usize = 20;
@@ -77,19 +77,23 @@ pub(super) fn connect_beside(
     newton(surfaces, start, point).and_then(|found| found.real(point)).or_else(|_| connect(surfaces, point))
 }
 
-/// Folds the line of a normalised image point through all surfaces; derivatives are with respect to that point.
+/// Folds the line of a normalised image point through all surfaces; derivatives are with respect to as many of that
+/// point's coordinates as the result has columns, none or both.
 ///
 /// # Errors
 /// [`NoRay`] where the line ends; see [`Surface::apply`] for what `lost` in the result says.
-pub(super) fn fold(surfaces: &[Surface], normalised: &Point2<f64>) -> Result<RayWithJacobian, NoRay> {
+pub(super) fn fold<const D: usize>(
+    surfaces: &[Surface],
+    normalised: &Point2<f64>,
+) -> Result<RayWithJacobian<D>, NoRay> {
     let v = Vector3::new(normalised.x, normalised.y, 1.0);
     let length = v.norm();
     let direction = v / length;
-    let d_v = Matrix3x2::new(1.0, 0.0, 0.0, 1.0, 0.0, 0.0);
+    let d_v = SMatrix::<f64, 3, D>::identity();
     let start = RayWithJacobian {
         ray: Ray { origin: Point3::origin(), direction },
-        d_origin: Matrix3x2::zeros(),
-        d_direction: (d_v - direction * direction.xy().transpose()) / length,
+        d_origin: SMatrix::zeros(),
+        d_direction: (d_v - direction * (direction.transpose() * d_v)) / length,
         lost: None,
     };
     surfaces.iter().try_fold(start, |ray, surface| surface.apply(&ray))

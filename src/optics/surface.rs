@@ -6,7 +6,7 @@
 //! geometry", CVPR 2012, doi:10.1109/CVPR.2012.6248073.
 
 use crate::optics::{NoRay, Ray, RayWithJacobian};
-use nalgebra::{Point3, RowVector2, Vector3};
+use nalgebra::{Point3, SMatrix, Vector3};
 
 /// A plane `normal·X = offset_m`, camera frame, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,7 +74,7 @@ impl Plane {
     }
 
     /// Moves the ray's origin to where its line meets the plane; meeting it backwards is recorded in `lost`.
-    fn meet(&self, r: &RayWithJacobian) -> Result<RayWithJacobian, NoRay> {
+    fn meet<const D: usize>(&self, r: &RayWithJacobian<D>) -> Result<RayWithJacobian<D>, NoRay> {
         let Ray { origin, direction } = r.ray;
         let along = self.normal.dot(&direction);
         let distance = -self.signed_distance(&origin) / along;
@@ -82,7 +82,7 @@ impl Plane {
             return Err(NoRay::MissesSurface); // parallel, or NaN
         }
         let n = self.normal.transpose();
-        let d_distance: RowVector2<f64> = -(n * r.d_origin + n * r.d_direction * distance) / along;
+        let d_distance: SMatrix<f64, 1, D> = -(n * r.d_origin + n * r.d_direction * distance) / along;
         Ok(RayWithJacobian {
             ray: Ray { origin: origin + direction * distance, direction },
             d_origin: r.d_origin + r.d_direction * distance + direction * d_distance,
@@ -137,7 +137,7 @@ impl Surface {
     ///
     /// # Errors
     /// [`NoRay`] when there is no line to continue: the ray is parallel to the surface, or totally reflected.
-    pub(super) fn apply(&self, ray: &RayWithJacobian) -> Result<RayWithJacobian, NoRay> {
+    pub(super) fn apply<const D: usize>(&self, ray: &RayWithJacobian<D>) -> Result<RayWithJacobian<D>, NoRay> {
         match self {
             Self::Mirror(mirror) => reflect(&mirror.plane, ray),
             Self::Wall(wall) => {
@@ -182,7 +182,7 @@ impl Surface {
     }
 }
 
-fn reflect(plane: &Plane, ray: &RayWithJacobian) -> Result<RayWithJacobian, NoRay> {
+fn reflect<const D: usize>(plane: &Plane, ray: &RayWithJacobian<D>) -> Result<RayWithJacobian<D>, NoRay> {
     let at = plane.meet(ray)?;
     let n = plane.normal();
     let d = at.ray.direction;
@@ -196,7 +196,7 @@ fn reflect(plane: &Plane, ray: &RayWithJacobian) -> Result<RayWithJacobian, NoRa
 }
 
 /// Refraction at one interface; `eta` = index before / index behind. The normal may point either way.
-fn refract(plane: &Plane, eta: f64, ray: &RayWithJacobian) -> Result<RayWithJacobian, NoRay> {
+fn refract<const D: usize>(plane: &Plane, eta: f64, ray: &RayWithJacobian<D>) -> Result<RayWithJacobian<D>, NoRay> {
     let at = plane.meet(ray)?;
     let d = at.ray.direction;
     let n = if plane.normal().dot(&d) < 0.0 { plane.normal() } else { -plane.normal() };
@@ -206,7 +206,7 @@ fn refract(plane: &Plane, eta: f64, ray: &RayWithJacobian) -> Result<RayWithJaco
         return Err(NoRay::TotalReflection);
     }
     let cos_out = cos_out_squared.sqrt();
-    let d_cos_in: RowVector2<f64> = -(n.transpose() * at.d_direction);
+    let d_cos_in: SMatrix<f64, 1, D> = -(n.transpose() * at.d_direction);
     let d_cos_out = d_cos_in * (eta * eta * cos_in / cos_out);
     Ok(RayWithJacobian {
         ray: Ray { direction: (d * eta + n * (eta * cos_in - cos_out)).normalize(), ..at.ray },

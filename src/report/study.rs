@@ -7,7 +7,7 @@ use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, table};
 use crate::archive::study::{Run, Study};
 use crate::archive::unusual::{UnusualRun, missed_percent};
-use crate::archive::{Measured, Outcome};
+use crate::archive::{Measured, Outcome, RunSummary};
 use crate::median::median;
 use crate::plural::plural;
 use plotly::common::{Line, Marker, Mode};
@@ -150,7 +150,17 @@ fn manifest_words(run: &Run) -> String {
 fn groups(study: &Study, unusual: &[UnusualRun]) -> String {
     let mut text = "<h2>Groups of runs</h2>\n<p>σ and residuals are medians over the runs.</p>\n".to_owned();
     let standing: BTreeSet<usize> = unusual.iter().map(|o| o.run).collect();
-    text += &group("rig", study, &standing, &|run| Some(run.summary.rig.clone()));
+    let mut contents: BTreeMap<&str, BTreeSet<Option<&str>>> = BTreeMap::new();
+    for RunSummary { rig, sha256, .. } in study.runs.iter().map(|run| &run.summary) {
+        contents.entry(rig).or_default().insert(sha256.rig.as_deref());
+    }
+    // A rig that was calibrated again under its name is another.
+    let rig = |RunSummary { rig, sha256, .. }: &RunSummary| {
+        let several = contents.get(rig.as_str()).is_some_and(|all| all.len() > 1);
+        let hash = sha256.rig.as_deref().and_then(|hash| hash.get(..8)).filter(|_| several);
+        hash.map_or_else(|| rig.clone(), |hash| format!("{rig} (sha256 {hash}…)"))
+    };
+    text += &group("rig", study, &standing, &|run| Some(rig(&run.summary)));
     for column in study.manifest_columns() {
         let value = |run: &Run| run.summary.manifest.get(column).cloned();
         let values: BTreeSet<_> = study.runs.iter().map(value).collect();

@@ -6,6 +6,7 @@ use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{float, floats, inner, list, number, optional_number, text, whole, word, xyz};
 use crate::log::records;
 use crate::log::schema::Topic;
+use crate::log::sequence::Sequence;
 use crate::plural::plural;
 use crate::sink::OutputFrame;
 use mcap::records::Record;
@@ -14,6 +15,9 @@ use prost_reflect::DynamicMessage;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::path::Path;
+
+/// The status of what was measured.
+const OK: &str = "ok";
 
 /// Reads the log at `path`, as far as it goes if it was cut off.
 pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
@@ -27,10 +31,16 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     }
     let lacking: Vec<String> = condition.summary().into_iter().chain(reader.undecoded).collect();
     let cut = (!lacking.is_empty()).then(|| lacking.join("; "));
-    let Reader { clock, markers, frames, mut currents, reference, .. } = reader;
+    let Reader { clock, markers, frames, mut currents, sequence, reference, no_numbers, .. } = reader;
+    let currents_lost = sequence.lost();
+    if no_numbers > 0 {
+        let frames = plural(no_numbers, "frame");
+        let odd = "with status ok but without a finite θ or place: taken as not measured";
+        tracing::warn!("{}: {frames} {odd}", path.display());
+    }
     leave_out_odd(&mut currents, path);
     let mut recording =
-        Recording { path: path.to_owned(), clock, reference, markers, frames, currents, cut, vetoed: 0 };
+        Recording { path: path.to_owned(), clock, reference, markers, frames, currents, cut, vetoed: 0, currents_lost };
     if let Some(clocks) = recording.clocks() {
         for current in &mut recording.currents {
             current.stamp_ns = current.host_ns.map(|host_ns| clocks.camera_ns(host_ns));
@@ -46,8 +56,12 @@ struct Reader {
     markers: Vec<String>,
     frames: Vec<Frame>,
     currents: Vec<Current>,
+    /// The numbers that their sender gave them.
+    sequence: Sequence,
     /// That of all that was measured: the base frame, if the rig had one.
     reference: Option<OutputFrame>,
+    /// Frames that lack a number although its status is ok.
+    no_numbers: u64,
     /// A message that does not match its schema.
     undecoded: Option<String>,
 }
@@ -65,6 +79,9 @@ impl Reader {
                 let taken = decoded.and_then(|message| match is_estimate {
                     true => self.estimate(&message).ok_or_else(|| "it has no time".to_owned()),
                     false => {
+                        if let Some(seq) = optional_number(&message, "seq").and_then(|seq| u64::try_from(seq).ok()) {
+                            self.sequence.take(seq);
+                        }
                         self.currents.push(current(&message));
                         Ok(())
                     }
@@ -91,7 +108,7 @@ impl Reader {
         if self.reference.is_none() {
             self.reference = reference(&markers, tangent.as_ref());
         }
-        self.frames.push(Frame {
+        let frame = Frame {
             seq: whole(message, "seq"),
             stamp_ns,
             host_ns: optional_number(message, "host_stamp_ns"),
@@ -99,14 +116,15 @@ impl Reader {
             theta_rad: angles.as_ref().and_then(|angles| float(angles, "theta_rad")),
             theta_sd_rad: angles.as_ref().and_then(|angles| float(angles, "theta_sd_rad")),
             theta_status: word(message, "deflection_status"),
-            places: markers.iter().map(place).collect(),
-            tangent: tangent
-                .as_ref()
-                .and_then(|tangent| xyz(tangent, "in_base").or_else(|| xyz(tangent, "in_camera")))
-                .map(Vector3::from),
+            places: self.markers.iter().enumerate().map(|(k, name)| place_of(&markers, k, name)).collect(),
+            tangent: tangent.as_ref().and_then(|tangent| in_either(tangent, "in_base", "in_camera")).map(Vector3::from),
             tangent_sd_rad: tangent.as_ref().and_then(|tangent| float(tangent, "sd_rad")),
             tick: optional_number(message, "tick").and_then(|tick| u64::try_from(tick).ok()),
-        });
+        };
+        let lacks = |place: &Place| place.status == OK && place.point.is_none();
+        let lacks_theta = frame.theta_rad.is_none() && frame.theta_status.as_deref() == Some(OK);
+        self.no_numbers += u64::from(lacks_theta || frame.places.iter().any(lacks));
+        self.frames.push(frame);
         Some(())
     }
 }
@@ -121,14 +139,28 @@ fn reference(markers: &[DynamicMessage], tangent: Option<&DynamicMessage>) -> Op
     Some(if in_base { OutputFrame::Base } else { OutputFrame::Camera })
 }
 
+/// The place of the marker of a name, which mostly is the `k`-th; elsewhere it is found if it is the only one.
+fn place_of(markers: &[DynamicMessage], k: usize, name: &str) -> Place {
+    let is_it = |marker: &&DynamicMessage| text(marker, "name").unwrap_or_default() == name;
+    let mut named = markers.iter().filter(is_it);
+    let only = named.next().filter(|_| named.next().is_none());
+    let marker = markers.get(k).filter(is_it).or(only);
+    marker.map_or_else(|| Place { point: None, sd_m: None, status: String::new() }, place)
+}
+
 fn place(marker: &DynamicMessage) -> Place {
     let position = inner(marker, "position");
-    let point = |position| xyz(position, "in_base_m").or_else(|| xyz(position, "in_camera_m"));
+    let point = |position| in_either(position, "in_base_m", "in_camera_m");
     Place {
         point: position.as_ref().and_then(point).map(Point3::from),
         sd_m: position.as_ref().and_then(|position| float(position, "sd_m")),
         status: word(marker, "status").unwrap_or_default(),
     }
+}
+
+/// In the base frame, if that is given: where it is not finite, what the camera's frame says is of another frame.
+fn in_either(message: &DynamicMessage, base: &str, camera: &str) -> Option<[f64; 3]> {
+    xyz(message, if message.has_field_by_name(base) { base } else { camera })
 }
 
 fn current(message: &DynamicMessage) -> Current {
@@ -147,4 +179,35 @@ fn leave_out_odd(currents: &mut Vec<Current>, path: &Path) {
     let usual = plural(coils as u64, "coil");
     tracing::warn!("{}: {odd} of currents left out: not of {usual}, as most are", path.display());
     currents.retain(|current| current.values_a.len() == coils);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sink::{McapSink, Sink as _};
+    use crate::tally::Tally;
+    use crate::testing::fixture;
+
+    #[test]
+    fn markers_are_known_by_their_names_in_any_order() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.mcap");
+        let mut log = McapSink::create(&path, &fixture::rig(), "# rig", "").unwrap();
+        for stamp_ns in 0..2 {
+            log.write(&fixture::complete(0, stamp_ns), None).unwrap();
+        }
+        log.finish(&Tally::default()).unwrap();
+        let mut reader = Reader::default();
+        records::each(&path, |record| {
+            reader.take(record);
+            if reader.frames.len() == 1 {
+                reader.markers = ["tip", "other", "base"].map(str::to_owned).to_vec();
+            }
+            Ok(())
+        })
+        .unwrap();
+        let [first, second] = [0, 1].map(|k| reader.frames[k].places.clone());
+        assert_eq!((&second[0].point, &second[2].point), (&first[2].point, &first[0].point));
+        assert!(second[1].point.is_none() && first[1].point.is_some());
+    }
 }

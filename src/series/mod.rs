@@ -56,6 +56,8 @@ pub struct Recording {
     pub cut: Option<String>,
     /// Frames that a person has vetoed: their time alone is here.
     pub vetoed: usize,
+    /// Samples of currents that a log lacks, by the numbers that their sender gave them.
+    pub currents_lost: u64,
 }
 
 /// One camera frame.

@@ -95,6 +95,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         currents: Vec::new(),
         cut,
         vetoed: 0,
+        currents_lost: 0,
     })
 }
 

@@ -91,8 +91,28 @@ fn currents_of_a_log_have_the_cameras_time() {
         let late = current.stamp_ns.unwrap() - frame.stamp_ns - STEP_NS / 2;
         assert!((0..=1000).contains(&late), "{late} ns");
     }
-    assert_eq!(log.currents[7].values_a, [0.1 * 7.0, -0.05]);
+    assert_eq!((&*log.currents[7].values_a, log.currents_lost), (&[0.1 * 7.0, -0.05][..], 0));
     assert!(Recording::read(&table).unwrap().currents.is_empty());
+}
+
+/// As other programs write what was not measured.
+#[test]
+fn values_of_a_log_that_are_not_finite_were_not_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let mut log = McapSink::create(&path, &fixture::rig(), "# rig", "").unwrap();
+    for seq in 0..3 {
+        let mut estimate = fixture::complete(seq, seq as i64 * STEP_NS);
+        if seq == 1 {
+            estimate.deflection.as_mut().unwrap().theta_rad = f64::NAN;
+            estimate.markers[1].position.as_mut().unwrap().point.x = f64::INFINITY;
+        }
+        log.write(&estimate, None).unwrap();
+    }
+    log.finish(&Tally::default()).unwrap();
+    let read = Recording::read(&path).unwrap();
+    let measured = |frame: &Frame| (frame.theta_rad.is_some(), frame.places[1].point.is_some());
+    assert_eq!(read.frames.iter().map(measured).collect::<Vec<_>>(), [(true, true), (false, false), (true, true)]);
 }
 
 #[test]
@@ -101,13 +121,15 @@ fn samples_with_another_number_of_coils_are_left_out() {
     let path = folder.path().join("log.mcap");
     let mut log = McapSink::create(&path, &fixture::rig(), "# rig", "").unwrap();
     log.write(&fixture::eventful(0, 0), None).unwrap();
-    for (coils, host_ns) in [2, 3, 2, 1].into_iter().zip(HOST_0..) {
+    // The sender begins anew, and three of its samples are lost.
+    for ((coils, seq), host_ns) in [(2, 20), (3, 0), (2, 3), (1, 5)].into_iter().zip(HOST_0..) {
         let current_a = vec![0.1; coils];
-        log.write_current(&CurrentSample { host_ns, arrival_ns: host_ns, seq: None, current_a }).unwrap();
+        log.write_current(&CurrentSample { host_ns, arrival_ns: host_ns, seq: Some(seq), current_a }).unwrap();
     }
     log.finish(&Tally::default()).unwrap();
-    let currents = Recording::read(&path).unwrap().currents;
+    let Recording { currents, currents_lost, .. } = Recording::read(&path).unwrap();
     assert_eq!(currents.iter().map(|c| c.values_a.len()).collect::<Vec<_>>(), [2, 2]);
+    assert_eq!(currents_lost, 3);
 }
 
 #[test]

@@ -278,8 +278,9 @@ impl Run {
 }
 
 fn seen(band: &DynamicMessage) -> Seen {
-    let pair =
-        |field: &str| inner(band, field).and_then(|p| Some([float(&p, "x")?, float(&p, "y")?])).unwrap_or_default();
+    let pair = |field: &str| {
+        inner(band, field).and_then(|p| Some([float(&p, "x")?, float(&p, "y")?])).unwrap_or([f64::NAN; 2])
+    };
     let covariance = floats(band, "covariance_px2");
     let entry = |i: usize| covariance.get(i).copied().unwrap_or(f64::NAN);
     let [rx, ry] = pair("residual_px");

@@ -116,4 +116,13 @@ fn all_frames_and_all_runs_are_in_the_tables_with_the_columns_of_the_manifest() 
     assert!(page.contains("the table has 1 row, summary.json counts 2"));
     let said = ended_with(&run("collect archive/runs/circle -o none"), 2);
     assert!(said.contains("no run can be read") && !place.path("none").exists(), "{said}");
+
+    // A rig that was changed under its name is another.
+    ended_with(&run(&format!("track {} --rig rig.toml -o two/a --to 0", rest.display())), 0);
+    let rig = fs::read_to_string(place.path("rig.toml")).unwrap();
+    fs::write(place.path("rig.toml"), rig + "\n# again\n").unwrap();
+    ended_with(&run(&format!("track {} --rig rig.toml -o two/b --to 0", rest.display())), 0);
+    ended_with(&run("collect two -o both"), 0);
+    let page = fs::read_to_string(place.path("both/report.html")).unwrap();
+    assert_eq!(page.matches("rig.toml (sha256 ").count(), 2);
 }

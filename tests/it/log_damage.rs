@@ -12,18 +12,20 @@ use std::process::{Command, Output};
 use tempfile::TempDir;
 
 const FRAMES: u64 = 300;
+/// Of the log whose heads are damaged bit by bit: some chunks.
+const FEW_FRAMES: u64 = 130;
 
 fn command(verb: &str, log: &Path) -> Output {
     Command::new(env!("CARGO_BIN_EXE_catoptra")).args(["log", verb]).arg(log).output().unwrap()
 }
 
-/// Five seconds of a live run with currents.
-fn run(folder: &Path) -> PathBuf {
+/// A live run with currents, 60 frames per second.
+fn run(folder: &Path, frames: u64) -> PathBuf {
     let path = folder.join("log.mcap");
     let rig = fixture::rig();
     let mut tally = Tally::new(&rig);
     let mut log = McapSink::create(&path, &rig, "# the rig\n", "frame = \"base\"\n").unwrap();
-    for seq in 0..FRAMES {
+    for seq in 0..frames {
         let estimate = fixture::eventful(seq, 5_000_000);
         log.write(&estimate, None).unwrap();
         if tally.add(&estimate) {
@@ -38,9 +40,9 @@ fn run(folder: &Path) -> PathBuf {
 }
 
 /// The same in a folder of its own, with its bytes, and read back.
-fn written() -> (TempDir, PathBuf, Vec<u8>, Recording) {
+fn written(frames: u64) -> (TempDir, PathBuf, Vec<u8>, Recording) {
     let folder = tempfile::tempdir().unwrap();
-    let path = run(folder.path());
+    let path = run(folder.path(), frames);
     let (bytes, whole) = (std::fs::read(&path).unwrap(), Recording::read(&path).unwrap());
     (folder, path, bytes, whole)
 }
@@ -52,7 +54,7 @@ fn is_part_of(part: &Recording, all: &Recording) -> bool {
 
 #[test]
 fn every_changed_bit_is_noticed_and_none_changes_a_number() {
-    let (_folder, path, bytes, whole) = written();
+    let (_folder, path, bytes, whole) = written(FRAMES);
     assert!(
         whole.cut.is_none() && whole.frames.len() as u64 == FRAMES && Info::read(&path).unwrap().condition.is_whole()
     );
@@ -95,7 +97,7 @@ fn top_level(bytes: &[u8]) -> Vec<(u8, usize, usize)> {
 /// A head that is damaged makes another record of one, or a longer one that swallows what follows.
 #[test]
 fn a_changed_bit_in_a_head_costs_its_chunk_at_most_and_what_it_costs_is_told() {
-    let (_folder, path, bytes, whole) = written();
+    let (_folder, path, bytes, whole) = written(FEW_FRAMES);
     let records = top_level(&bytes);
     let last_chunk = records.iter().rfind(|(code, ..)| *code == CHUNK).unwrap();
     let mut kinds: Vec<_> = records.iter().filter(|record| record.1 > bytes.len() / 3).chain(&records).collect();
@@ -129,7 +131,7 @@ fn a_changed_bit_in_a_head_costs_its_chunk_at_most_and_what_it_costs_is_told() {
 /// A log in a private record is none of ours.
 #[test]
 fn a_log_within_a_log_is_not_entered() {
-    let (_folder, path, bytes, whole) = written();
+    let (_folder, path, bytes, whole) = written(FRAMES);
     let records = top_level(&bytes);
     let (_, at, _) = records.iter().filter(|(code, ..)| *code == CHUNK).nth(3).unwrap();
     let mut private = vec![0x80];
@@ -147,7 +149,7 @@ fn a_log_within_a_log_is_not_entered() {
 /// Messages outside chunks have no checksum of their own.
 #[test]
 fn of_messages_without_checksums_none_is_said_to_be_right() {
-    let (folder, _, bytes, _) = written();
+    let (folder, _, bytes, _) = written(FRAMES);
     let plain = folder.path().join("plain.mcap");
     let options = WriteOptions::new().use_chunks(false).compression(None);
     let mut writer = Writer::with_options(std::fs::File::create(&plain).unwrap(), options).unwrap();
@@ -167,7 +169,7 @@ fn of_messages_without_checksums_none_is_said_to_be_right() {
 
 #[test]
 fn what_lies_behind_a_hole_is_saved() {
-    let (folder, path, bytes, whole) = written();
+    let (folder, path, bytes, whole) = written(FRAMES);
     let messages = Info::read(&path).unwrap().topics.iter().map(|topic| topic.messages).sum::<u64>();
     for (kept, part) in (1..).zip([0.02, 0.3, 0.55, 0.8]) {
         let hole = (bytes.len() as f64 * part) as usize;
@@ -199,7 +201,7 @@ fn what_lies_behind_a_hole_is_saved() {
 
 #[test]
 fn a_log_that_lacks_its_last_bytes_lacks_no_message() {
-    let (_folder, path, bytes, whole) = written();
+    let (_folder, path, bytes, whole) = written(FRAMES);
     for cut in [1, 5, 8] {
         std::fs::write(&path, &bytes[..bytes.len() - cut]).unwrap();
         assert!(matches!(repair(&path).unwrap(), Repaired::Mended { .. }));
@@ -211,7 +213,7 @@ fn a_log_that_lacks_its_last_bytes_lacks_no_message() {
 
 #[test]
 fn a_log_whose_index_alone_was_damaged_lacks_nothing_once_repaired() {
-    let (_folder, path, bytes, whole) = written();
+    let (_folder, path, bytes, whole) = written(FRAMES);
     let mut damaged = bytes.clone();
     let at = damaged.len() - 40;
     damaged[at] ^= 1;
@@ -231,7 +233,7 @@ fn a_log_whose_index_alone_was_damaged_lacks_nothing_once_repaired() {
 /// Names and schemas of all topics are in the first chunk, and once more at the end.
 #[test]
 fn a_damaged_first_chunk_costs_its_messages_and_no_others() {
-    let (folder, path, bytes, whole) = written();
+    let (folder, path, bytes, whole) = written(FRAMES);
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let chunks = summary.chunk_indexes.len();
     assert!(chunks > 3, "{chunks} chunks");
@@ -253,7 +255,7 @@ fn a_damaged_first_chunk_costs_its_messages_and_no_others() {
 /// Of a killed log the end with the second copy of its topics is missing: there is one more near its beginning.
 #[test]
 fn a_killed_log_with_a_damaged_first_chunk_keeps_all_others() {
-    let (folder, path, bytes, whole) = written();
+    let (folder, path, bytes, whole) = written(FRAMES);
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let mut places: Vec<_> = summary.chunk_indexes.iter().map(|c| (c.chunk_start_offset, c.chunk_length)).collect();
     places.sort_unstable();
@@ -274,7 +276,7 @@ fn a_killed_log_with_a_damaged_first_chunk_keeps_all_others() {
 
 #[test]
 fn a_log_whose_first_bytes_are_damaged_is_read_and_repaired() {
-    let (folder, path, bytes, whole) = written();
+    let (folder, path, bytes, whole) = written(FRAMES);
     let cut = &bytes[..bytes.len() * 2 / 3];
     for (log, zeros) in [(bytes.as_slice(), 1), (bytes.as_slice(), 200), (cut, 1)] {
         let mut damaged = log.to_vec();
@@ -296,7 +298,7 @@ fn a_log_whose_first_bytes_are_damaged_is_read_and_repaired() {
 
 #[test]
 fn a_log_behind_a_log_is_told_and_counts_as_lost() {
-    let (_folder, path, bytes, _) = written();
+    let (_folder, path, bytes, _) = written(FRAMES);
     std::fs::write(&path, [bytes.as_slice(), &bytes].concat()).unwrap();
     let info = Info::read(&path).unwrap();
     let said = info.condition.summary().unwrap();
@@ -321,7 +323,7 @@ fn compressed(from: &Path, to: &Path, compression: Compression) {
 #[test]
 fn a_compressed_log_is_read_and_repaired_as_any_other() {
     let folder = tempfile::tempdir().unwrap();
-    let path = run(folder.path());
+    let path = run(folder.path(), FRAMES);
     let whole = Recording::read(&path).unwrap();
     for compression in [Compression::Zstd, Compression::Lz4] {
         let packed = folder.path().join("packed.mcap");
@@ -392,7 +394,7 @@ fn a_log_that_is_being_written_is_not_repaired() {
 #[test]
 fn a_changed_bit_in_a_schema_is_no_panic_and_names_do_not_steer_the_terminal() {
     let folder = tempfile::tempdir().unwrap();
-    let path = run(folder.path());
+    let path = run(folder.path(), FRAMES);
     // Chunks without checksums: what is damaged in them can be anything.
     let bytes = std::fs::read(&path).unwrap();
     let plain = folder.path().join("plain.mcap");
@@ -426,7 +428,7 @@ fn a_changed_bit_in_a_schema_is_no_panic_and_names_do_not_steer_the_terminal() {
 #[test]
 fn a_row_without_a_time_is_left_out_and_is_not_at_time_0() {
     let folder = tempfile::tempdir().unwrap();
-    let bytes = std::fs::read(run(folder.path())).unwrap();
+    let bytes = std::fs::read(run(folder.path(), FRAMES)).unwrap();
     let timeless = folder.path().join("timeless.mcap");
     let mut writer = Writer::new(std::fs::File::create(&timeless).unwrap()).unwrap();
     let rows: Vec<_> = mcap::MessageStream::new(&bytes)

@@ -27,8 +27,8 @@ fn why_two_lenses(turn: Option<Turn>) -> String {
             "one is nearly the other {turn}; were some pictures, by a viewer, a converter or a setting of the camera? \
              Give all of them as the camera takes them in use"
         ),
-        None => "are they of two cameras, was focus or zoom moved, or were some cropped, stabilised, or turned by \
-                 180°? Take pictures with one setting"
+        None => "are they of two cameras, was focus or zoom moved, were some cropped, stabilised, or turned by 180°, \
+                 or was the board carried before a rolling shutter? Take pictures with one setting, of a board at rest"
             .to_owned(),
     }
 }

@@ -16,9 +16,12 @@ const FOLDS: usize = 5;
 /// Most steps of a lens's search.
 const MAX_STEPS: i32 = 100;
 const MIN_STEP: f64 = 1e-9;
-/// Another model is better when its residual is below this fraction, and smaller for at least half of the pictures; one
-/// with fewer parameters when that of `own` is not below this fraction of its own.
+/// Another model is better when its residual is below this fraction, smaller for at least half of the pictures, and by
+/// that many standard errors in the mean of their logarithms, unless it is far below; one with fewer parameters when
+/// that of `own` is not below this fraction of its own.
 const BETTER_BELOW: f64 = 0.93;
+const FAR_BELOW: f64 = 0.85;
+const BETTER_BY_SE: f64 = 2.5;
 
 /// A lens model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,11 +64,21 @@ pub(crate) fn better(
             return rms(by_own) > BETTER_BELOW * rms(each);
         }
         let closer = each.iter().zip(by_own).filter(|(other, own)| other < own).count();
-        rms(each) < BETTER_BELOW * rms(by_own) && 2 * closer >= by_own.len()
+        let gains: Vec<f64> = each.iter().zip(by_own).map(|(other, own)| (own / other).ln()).collect();
+        let part = rms(each) / rms(by_own);
+        part < BETTER_BELOW && 2 * closer >= by_own.len() && (part < FAR_BELOW || is_clear(&gains))
     };
     let others = models.into_iter().skip(1).zip(others).filter_map(|(model, each)| Some((model, each.as_ref()?)));
     let better = others.filter(|(model, each)| clearly(*model, each)).min_by(|a, b| rms(a.1).total_cmp(&rms(b.1)))?;
     Some((better.0, rms(by_own), rms(better.1)))
+}
+
+/// Whether the mean gain is more than its scatter over pictures explains.
+fn is_clear(gains: &[f64]) -> bool {
+    let count = gains.len() as f64;
+    let mean = gains.iter().sum::<f64>() / count;
+    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    mean > BETTER_BY_SE * (variance / count).sqrt()
 }
 
 /// RMS of a coordinate in each picture when held out, in the order of the folds.
@@ -160,5 +173,18 @@ impl Found {
         let sum: f64 = image.iter().zip(there.iter()).map(square).sum();
         // Each picture has six pose parameters.
         Ok((sum / (2.0 * image.len() as f64 - 6.0).max(1.0)).sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gain_of_one_picture_is_no_gain() {
+        assert!(is_clear(&[1.0, 1.2, 0.9, 1.1, 0.8, 1.0]));
+        assert!(!is_clear(&[0.0, 0.1, -0.1, 0.0, 6.0, 0.1]));
+        // Not known.
+        assert!(!is_clear(&[1.0]) && !is_clear(&[]));
     }
 }

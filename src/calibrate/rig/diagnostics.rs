@@ -97,7 +97,8 @@ pub enum Diagnostic {
     /// A prior that is far from what the pictures give.
     #[error(
         "the pictures contradict {what} as it was given, by {off:.1} σ: is it right, and the size of the squares? Were \
-         pictures flipped or turned, or taken with another lens, focus or zoom? Is the print stretched along one side?"
+         pictures flipped or turned, or taken with another lens, focus or zoom? Is the print stretched along one side? \
+         In a tank: is it plain water of the stated temperature?"
     )]
     Prior {
         /// What.

@@ -373,7 +373,7 @@ impl Args {
             repeats: self.repeats.map(|r| r.0),
             // A current is what was commanded; of other columns nothing is known.
             commanded: self.plant.is_none() && self.output.is_none(),
-            shifted: false,
+            doubtful: false,
         })
     }
 

@@ -1,7 +1,8 @@
 //! Warnings about coil currents that are hardly those that the coils had.
 
 use crate::identify::data::from_recording::Observed;
-use crate::identify::data::hold::{Held, LongHold};
+use crate::identify::data::hold::{Held, Lacking, LongHold};
+use crate::plural::plural;
 
 /// Current beyond which a unit is more likely to be wrong than the current right.
 const MOST_AMPERES: f64 = 50.0;
@@ -12,13 +13,23 @@ const IN_MS: f64 = 200.0;
 /// Part of the gain by which it is too large, from which that is told.
 const TOO_LARGE: f64 = 0.005;
 
-/// Warns of a long hold and of values that may have another unit. `held`: the coils of one source, whose rows have the
-/// same times; `end_s`: the last frame; `eq_6`: they become torques.
-pub(super) fn warn_of_values(source: &str, held: &[Held], end_s: f64, eq_6: bool) {
-    if let Some(LongHold { from_s, to_s, value, usual_s }) = held.iter().find_map(|held| held.longest_hold(end_s)) {
+/// Warns of commands that seem to be lacking, of a long hold, and of values that may have another unit; returns whether
+/// one of the first two was found. `held`: the coils of one source, whose rows have the same times; `end_s`: the last
+/// frame; `eq_6`: they become torques.
+pub(super) fn warn_of_values(source: &str, held: &[Held], end_s: f64, eq_6: bool) -> bool {
+    let hold = held.iter().find_map(|held| held.longest_hold(end_s));
+    if let Some(LongHold { from_s, to_s, value, usual_s }) = hold {
         tracing::warn!(
             "{source}: {value} A is held from {from_s:.3} s to {to_s:.3} s after the first frame, while commands \
              usually come every {usual_s:.3} s: is the table complete?"
+        );
+    }
+    let lacking = held.first().and_then(|held| held.lacking(end_s));
+    if let Some(Lacking { count, first_s, interval_s }) = lacking {
+        let rows = plural(count, "row");
+        tracing::warn!(
+            "{source}: currents come every {interval_s:.3} s, but {rows} seem to be lacking, the first after \
+             {first_s:.3} s: what the coils had meanwhile is not known"
         );
     }
     let largest = held.iter().filter_map(Held::largest).max_by(f64::total_cmp);
@@ -26,6 +37,7 @@ pub(super) fn warn_of_values(source: &str, held: &[Held], end_s: f64, eq_6: bool
         let taken = if eq_6 { "Eq. 6 needs amperes" } else { "they are taken as amperes" };
         tracing::warn!("{source}: holds currents of up to {largest:.0} A: {taken}; are these mA?");
     }
+    hold.is_some() || lacking.is_some()
 }
 
 /// Warns if the commands are fewer than the frames and look like a log.

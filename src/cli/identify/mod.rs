@@ -44,8 +44,8 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
         return apply::run(args, model, &data, &provenance, outcome);
     }
     let samples: usize = data.training.iter().map(crate::identify::data::segments::Record::observed).sum();
-    let shifted = provenance.records.iter().any(|record| record.training && record.shifted);
-    let settings = Settings { shifted, ..args.settings(samples, !data.validation.is_empty())? };
+    let doubtful = provenance.records.iter().any(|record| record.training && record.doubtful);
+    let settings = Settings { doubtful, ..args.settings(samples, !data.validation.is_empty())? };
     // 2. models
     let done =
         identify_with_progress(&data, &settings, &|what| stages.begin(what)).map_err(|error| failure(&data, error))?;

@@ -132,7 +132,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let names: Vec<&str> = [input.as_str(), output.as_str()].into_iter().chain(args.time.as_deref()).collect();
     let mut values = columns(file, &names)?.into_iter();
     let (drive, output) = (values.next().unwrap_or_default(), values.next().unwrap_or_default());
-    let mut shifted = false;
+    let mut doubtful = false;
     let time_s = match (values.next(), args.period) {
         (Some(_), Some(_)) if !args.resample => {
             return Err(Failure::usage(
@@ -148,7 +148,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
         }
         (None, Some(period)) => {
             columns_in_doubt::warn_of_another_time(file, period);
-            shifted |= columns_in_doubt::warn_of_lost_rows(&name, &drive);
+            doubtful |= columns_in_doubt::warn_of_lost_rows(&name, &drive);
             (0..drive.len()).map(|k| k as f64 * period).collect()
         }
         (None, None) => {
@@ -163,7 +163,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
         )));
     }
     // With times of their own they shift nothing.
-    shifted |= columns_in_doubt::warn_of_repeated_rows(&name, &output) && args.time.is_none();
+    doubtful |= columns_in_doubt::warn_of_repeated_rows(&name, &output) && args.time.is_none();
     let missed = output.iter().filter(|y| y.is_none()).count();
     let series = Series { name: name.clone(), time_s, drive, output, ..Series::default() };
     let (record, grid, bridged) = on_grid(args, &series)?;
@@ -175,7 +175,7 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
         jitter_s: grid.jitter_s,
         lost: grid.lost,
         missed,
-        shifted,
+        doubtful,
         bridged,
         ..RecordSummary::default()
     };

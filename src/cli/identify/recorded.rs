@@ -7,7 +7,7 @@ use super::records::Driven;
 use crate::cli::Failure;
 use crate::identify::data::from_recording::Observed;
 use crate::identify::data::grid::{Grid, GridError, Series, cut};
-use crate::identify::data::hold::Held;
+use crate::identify::data::hold::{FEW_LACKING, Held};
 use crate::identify::data::plant::Plant;
 use crate::identify::data::prepare::{Detrend, Trend};
 use crate::identify::estimate::clock_delay::{self, Delay, Drift, Inputs, Timing};
@@ -29,7 +29,8 @@ pub(super) fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Op
     let mut observed = Observed::of(&recording).map_err(Failure::usage)?;
     let held = observed.commands(&source, &currents, args.coil).map_err(Failure::usage)?;
     let end_s = observed.time_s.last().copied().unwrap_or_default();
-    currents::warn_of_values(&source, std::slice::from_ref(&held), end_s, plant.is_some());
+    let lost_some = table.is_none() && recording.currents_lost as f64 > FEW_LACKING * currents.len() as f64;
+    let doubtful = currents::warn_of_values(&source, std::slice::from_ref(&held), end_s, plant.is_some()) || lost_some;
     warn_of_frames(args, &name, &observed, (&source, &held));
     let middle_s = 0.5 * end_s;
     let apparent = apparent_delay(args, &observed, &held, plant, own_clock.then_some(middle_s));
@@ -64,6 +65,7 @@ pub(super) fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Op
         bridged,
         delay: apparent,
         zero,
+        doubtful,
         ..RecordSummary::default()
     };
     Ok(Read { record, summary })

@@ -3,7 +3,7 @@
 use super::args::Args;
 use crate::cli::Failure;
 use crate::cli::results::unfinished;
-use crate::plural::plural;
+use crate::plural::{are, plural};
 use crate::series::{Current, CurrentClock, CurrentTable, Recording};
 use std::path::Path;
 
@@ -54,6 +54,13 @@ impl Driven {
         }
         let Some(path) = table else {
             let currents = std::mem::take(&mut recording.currents);
+            if recording.currents_lost > 0 {
+                let lost = are(recording.currents_lost, "sample");
+                tracing::warn!(
+                    "{name}: by the numbers of its samples of currents, {lost} lost: what the coils had meanwhile is \
+                     not known"
+                );
+            }
             let count = currents.first().map_or(0, |current| current.values_a.len());
             let coils = (0..count).map(|coil| format!("coil_{coil}")).collect();
             return Ok(Self { recording, source: name, own_clock: false, coils, currents });

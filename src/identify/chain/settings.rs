@@ -68,8 +68,8 @@ pub struct Settings {
     pub repeats: Option<Repeats>,
     /// Whether the input was told to the system: nothing of the output can be in it.
     pub commanded: bool,
-    /// Declares that rows of a fitted record seem to be shifted: what follows has no σ.
-    pub shifted: bool,
+    /// Declares that rows of a fitted record seem to be shifted, or commands lacking: what follows has no σ.
+    pub doubtful: bool,
 }
 
 impl Estimator {

@@ -159,7 +159,7 @@ fn identify_held(
     }
     let Objections { model_error, left, higher_order, .. } = objections;
     let wrong_values = wrong_values(&records, measured, &models, data.period_s);
-    let right_values = !settings.shifted && wrong_values.iter().all(leaves_sigma);
+    let right_values = !settings.doubtful && wrong_values.iter().all(leaves_sigma);
     if !right_values {
         models.iter_mut().filter(|m| m.role == Role::Refined).for_each(Modelled::forget_sigma);
     }

@@ -47,7 +47,7 @@ pub(in crate::identify) fn other_unit(period_s: f64) -> Option<Diagnostic> {
 
 /// All diagnostics about a result.
 pub(super) fn diagnostics(data: &Data, done: &Identification, settings: &Settings) -> Vec<Diagnostic> {
-    let Settings { commanded, shifted, .. } = *settings;
+    let Settings { commanded, doubtful, .. } = *settings;
     let mut diagnostics: Vec<Diagnostic> = other_unit(data.period_s).into_iter().collect();
     for model in &done.models {
         let (title, largest_pole) = (model.title.clone(), model.largest_pole);
@@ -101,7 +101,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, settings: &Setting
     let not_at_rest = not_at_rest(data, done);
     let follows = |told: &&Diagnostic| not_at_rest.is_some() && matches!(told, Diagnostic::Gains { .. });
     diagnostics.extend(done.wrong_values.iter().filter(|told| !follows(told)).cloned());
-    if shifted || done.wrong_values.iter().any(|told| !leaves_sigma(told)) {
+    if doubtful || done.wrong_values.iter().any(|told| !leaves_sigma(told)) {
         let fitted = done.models.iter().filter(|model| matches!(model.role, Role::Refined | Role::Periodic));
         diagnostics.extend(fitted.map(|model| Diagnostic::OfWrongValues { title: model.title.clone() }));
     }

@@ -288,6 +288,7 @@ mod tests {
             currents: Vec::new(),
             cut: None,
             vetoed: 0,
+            currents_lost: 0,
         }
     }
 

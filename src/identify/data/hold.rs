@@ -1,11 +1,25 @@
-//! Average output of an amplifier that holds its last command, between two times; and whether what is taken for such
-//! commands looks like a slower log of something else.
+//! Average output of an amplifier that holds its last command, between two times; whether commands seem to be lacking;
+//! and whether what is taken for them looks like a slower log of something else.
 
 use crate::median::median;
 
-/// A hold is long when it lasts this many times the usual one, and this long.
+/// A hold is long when it lasts this many times the usual one, and this long; in a log at a regular interval this long.
 const LONG_TIMES: f64 = 20.0;
 const LONG_S: f64 = 1.0;
+const LONG_IN_LOG_S: f64 = 0.3;
+/// The interval is regular if this part of all is within this part of the median.
+const AT_INTERVAL: (f64, f64) = (0.9, 0.2);
+/// Commands at a regular interval are lacking where the next is this many intervals later or more, if most such times
+/// are whole intervals: a program that is late is so by any time. How many, how near they are, and what part of them.
+const LACKING_INTERVALS: f64 = 1.5;
+const MIN_LACKING: usize = 3;
+const WHOLE: (f64, f64) = (0.1, 0.8);
+/// So few of all commands that are lacking bend no model by much.
+pub(crate) const FEW_LACKING: f64 = 1e-3;
+/// Rows come at their times, and not when something changes, if so many of them bring the value before again, or if the
+/// value changes by that many times as much over long times as over usual ones.
+const UNCHANGED_PART: f64 = 0.05;
+const CHANGES_TIMES: f64 = 1.5;
 /// Fewest commands of which a usual hold is known, and the part of the holds that is no longer than it.
 const MIN_COMMANDS: usize = 10;
 const USUAL_PART: f64 = 0.9;
@@ -26,9 +40,31 @@ pub(crate) struct LongHold {
     pub usual_s: f64,
 }
 
+/// Commands that seem to be lacking where others come at a regular interval, seconds of the commands' clock.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Lacking {
+    pub count: u64,
+    /// The time of the last before the first of them.
+    pub first_s: f64,
+    pub interval_s: f64,
+}
+
+/// The time from each to the next.
+fn steps(time_s: &[f64]) -> impl Iterator<Item = f64> {
+    time_s.iter().zip(time_s.iter().skip(1)).map(|(a, b)| b - a)
+}
+
+/// The interval at which most commands come, seconds; `None` if they do not.
+fn interval_s(time_s: &[f64]) -> Option<f64> {
+    let interval_s = median(steps(time_s)).filter(|_| time_s.len() >= MIN_COMMANDS)?;
+    let (part, within) = AT_INTERVAL;
+    let regular = steps(time_s).filter(|step| (step / interval_s - 1.0).abs() < within).count();
+    (regular as f64 >= part * (time_s.len() - 1) as f64).then_some(interval_s)
+}
+
 /// The time between commands that most do not exceed.
 fn usual_s(time_s: &[f64]) -> Option<f64> {
-    let mut holds: Vec<f64> = time_s.iter().zip(time_s.iter().skip(1)).map(|(a, b)| b - a).collect();
+    let mut holds: Vec<f64> = steps(time_s).collect();
     if time_s.len() < MIN_COMMANDS {
         return None;
     }
@@ -124,8 +160,42 @@ impl Held {
         let pairs = || self.value.iter().zip(self.value.iter().skip(1));
         let changes = pairs().filter(|(a, b)| a != b).count();
         let all_change = self.value.len() >= MIN_COMMANDS && changes as f64 >= CHANGING_PART * pairs().count() as f64;
-        let steps = self.time_s.iter().zip(self.time_s.iter().skip(1)).map(|(a, b)| b - a);
-        if all_change && are_many(&self.value) { median(steps) } else { None }
+        if all_change && are_many(&self.value) { median(steps(&self.time_s)) } else { None }
+    }
+
+    /// The interval of a log whose rows come at it whether or not the value changes, seconds: a longer time lacks rows.
+    fn log_interval_s(&self) -> Option<f64> {
+        let interval_s = interval_s(&self.time_s)?;
+        let changes = self.value.iter().zip(self.value.iter().skip(1)).map(|(a, b)| (b - a).abs());
+        let (mut usual, mut long) = ((0.0, 0.0), (0.0, 0.0));
+        let mut unchanged = 0;
+        for (step, change) in steps(&self.time_s).zip(changes) {
+            unchanged += usize::from(change == 0.0);
+            let of = if step > LACKING_INTERVALS * interval_s { &mut long } else { &mut usual };
+            *of = (of.0 + change, of.1 + 1.0);
+        }
+        let repeats = unchanged as f64 > UNCHANGED_PART * self.value.len() as f64;
+        (repeats || long.0 * usual.1 > CHANGES_TIMES * usual.0 * long.1).then_some(interval_s)
+    }
+
+    /// The commands that seem to be lacking up to `end_s`, unless they are few.
+    pub(crate) fn lacking(&self, end_s: f64) -> Option<Lacking> {
+        let interval_s = self.log_interval_s()?;
+        let long = || {
+            let in_record = self.time_s.iter().zip(steps(&self.time_s));
+            let in_record = in_record.filter(|(from_s, step)| *from_s + step > 0.0 && **from_s < end_s);
+            in_record.map(|(from_s, step)| (from_s, step / interval_s)).filter(|(_, times)| *times > LACKING_INTERVALS)
+        };
+        let (within, part) = WHOLE;
+        let whole = long().filter(|(_, times)| (times - times.round()).abs() < within).count();
+        let (first_s, _) = long().next()?;
+        let count = long().map(|(_, times)| times.round() - 1.0).sum::<f64>();
+        let are_lacking = whole >= MIN_LACKING && whole as f64 >= part * long().count() as f64;
+        (are_lacking && count * interval_s > FEW_LACKING * end_s).then_some(Lacking {
+            count: count as u64,
+            first_s: *first_s,
+            interval_s,
+        })
     }
 
     /// The longest time, up to `end_s`, for which a value other than zero is held, if commands usually come far more
@@ -135,8 +205,14 @@ impl Held {
         let ends = self.time_s.iter().skip(1).copied().chain([end_s]);
         let holds = self.time_s.iter().zip(ends).zip(&self.value).filter(|(_, value)| **value != 0.0);
         let holds = holds.map(|((from_s, to_s), value)| LongHold { from_s: *from_s, to_s, value: *value, usual_s });
-        let longest = holds.max_by(|a, b| (a.to_s - a.from_s).total_cmp(&(b.to_s - b.from_s)))?;
-        (longest.to_s - longest.from_s > (LONG_TIMES * usual_s).max(LONG_S)).then_some(longest)
+        let is_log = self.log_interval_s().is_some();
+        let is_long = |hold: &LongHold| {
+            // Nobody knows for how long the last is to hold.
+            let in_log = is_log && self.time_s.last().is_some_and(|last| hold.from_s < *last);
+            let least_s = if in_log { LONG_IN_LOG_S } else { LONG_S };
+            hold.to_s > 0.0 && hold.to_s - hold.from_s > least_s.max(LONG_TIMES * usual_s)
+        };
+        holds.filter(is_long).max_by(|a, b| (a.to_s - a.from_s).total_cmp(&(b.to_s - b.from_s)))
     }
 
     /// Average from `from_s` to the later `to_s`. `None` before the first command: the output then is unknown.
@@ -191,6 +267,36 @@ mod tests {
         let rest = Held::new((0..1000).map(|k| (k as f64 * 0.005, if k == 999 { 0.0 } else { 1.0 })).collect());
         assert_eq!(rest.longest_hold(60.0), None);
         assert_eq!(Held::new(vec![(0.0, 0.1), (2.0, -0.1)]).longest_hold(60.0), None);
+    }
+
+    #[test]
+    fn rows_that_are_lacking_are_told_from_a_program_that_is_late() {
+        let at = |k: usize| k as f64 / 60.0;
+        let held = |times: &mut dyn Iterator<Item = f64>| Held::new(times.map(|t| (t, t.sin() + 2.0)).collect());
+        let lost = |k: &usize| k % 20 == 7 || (300..310).contains(k);
+        let lacking = held(&mut (0..600).filter(|k| !lost(k)).map(at)).lacking(10.0).unwrap();
+        assert_eq!((lacking.count, lacking.first_s), (30 + 9, at(6)));
+        assert!((lacking.interval_s - at(1)).abs() < 1e-9);
+        // It waits for longer at times, by no whole interval, and goes on from there.
+        let mut late = 0.0;
+        let mut waits = (0..600).map(|k| {
+            late += if k % 20 == 7 { at(1) * (1.0 + 0.13 * (k / 20) as f64 % 1.0) } else { 0.0 };
+            at(k) + late
+        });
+        assert_eq!(held(&mut waits).lacking(10.0), None);
+        assert_eq!(held(&mut (0..600).map(at)).lacking(10.0), None);
+        // Told to hold for any number of its intervals.
+        assert_eq!(held(&mut (0..600).filter(|k| k * k % 7 > 2).map(at)).lacking(10.0), None);
+        // A table of changes only: ramps and plateaus of half a second.
+        let ramps = (0..600).map(|k| (at(k + 30 * (k / 30)), k as f64)).collect();
+        let ramps = Held::new(ramps);
+        assert_eq!((ramps.lacking(20.0), ramps.longest_hold(20.0)), (None, None));
+        // What a session's table lacks long before the record is none of its own.
+        let early = Held::new((0..600).filter(|k| !lost(k)).map(|k| (at(k) - 20.0, at(k).sin() + 2.0)).collect());
+        assert_eq!(early.lacking(10.0), None);
+        // A third of a second where every row has another value.
+        let hole = held(&mut (0..600).filter(|k| !(200..230).contains(k)).map(at));
+        assert!((hole.longest_hold(at(600)).unwrap().from_s - at(199)).abs() < 1e-9);
     }
 
     #[test]

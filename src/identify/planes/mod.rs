@@ -549,6 +549,7 @@ mod tests {
             currents: Vec::new(),
             cut: None,
             vetoed: 0,
+            currents_lost: 0,
         };
         let commands: Vec<Current> = (0..500)
             .map(|ms: i64| Current { host_ns: None, stamp_ns: Some(1_000_000 * ms), values_a: vec![ms as f64, 1.0] })

@@ -25,8 +25,8 @@ pub(crate) struct RecordSummary {
     pub lost: usize,
     /// Samples without an output.
     pub missed: usize,
-    /// Whether rows seem to have been lost or written twice, without times that tell.
-    pub shifted: bool,
+    /// Whether rows seem to have been lost or written twice, without times that tell, or commands to be lacking.
+    pub doubtful: bool,
     /// Of these, frames that a person has vetoed.
     pub vetoed: usize,
     /// Angles interpolated for the torque.

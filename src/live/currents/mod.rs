@@ -16,11 +16,11 @@
 //! A serial device is mostly opened while it sends: bare numbers whose beginning was not seen (`5, 0.3` of `-0.125,
 //! 0.3`) would be a wrong current, and are left out.
 
+mod bursts;
 mod delays;
 mod followed;
 mod parser;
 mod sample;
-mod sequence;
 #[cfg(unix)]
 mod serial;
 

@@ -2,10 +2,11 @@
 //! none, or odd.
 
 use super::super::listener::Listener;
+use super::bursts::Bursts;
 use super::delays::Delays;
 use super::sample::{columns, has_decimal_commas, sample};
-use super::sequence::Sequence;
 use super::{POLL_INTERVAL, STOP_POLL_INTERVAL};
+use crate::log::sequence::Sequence;
 use crate::plural::plural;
 use crate::sink::CurrentSample;
 use crate::source::current_columns::{CurrentColumns, TimeColumn};
@@ -51,10 +52,11 @@ pub(super) struct Parser {
     /// Samples of a table whose time is that of their arrival, more or less; and those of other times.
     timely: u64,
     untimely: u64,
-    /// Time of the last row of a table, and how many rows have none later than the row before.
+    /// Time of the last sample, and how many have none later than the one before.
     last_ns: Option<i64>,
     not_later: u64,
     delays: Delays,
+    bursts: Bursts,
     sequence: Sequence,
     /// Lines of whole numbers between commas, before the first with a decimal point.
     whole_numbers: u64,
@@ -84,6 +86,7 @@ impl Parser {
             last_ns: None,
             not_later: 0,
             delays: Delays::default(),
+            bursts: Bursts::default(),
             sequence: Sequence::default(),
             whole_numbers: 0,
             decimal_points: false,
@@ -303,12 +306,10 @@ impl Parser {
         }
     }
 
-    /// Counts rows of a table that are not in the order of their times.
+    /// Counts samples that are not in the order of their times.
     fn note_order(&mut self, sample: &CurrentSample) {
-        if self.columns.is_some() {
-            let last_ns = self.last_ns.replace(sample.host_ns);
-            self.not_later += u64::from(last_ns.is_some_and(|last_ns| sample.host_ns <= last_ns));
-        }
+        let last_ns = self.last_ns.replace(sample.host_ns);
+        self.not_later += u64::from(last_ns.is_some_and(|last_ns| sample.host_ns <= last_ns));
     }
 
     /// Warns of a sender whose clock is another, or whose samples are lost. Of a table, rows of an earlier run say
@@ -316,6 +317,9 @@ impl Parser {
     fn note_sender(&mut self, sample: &CurrentSample) {
         if self.columns.is_some() && (self.is_timed_from_start() || !is_timely(sample)) {
             return;
+        }
+        if sample.host_ns == sample.arrival_ns {
+            self.bursts.take(sample.arrival_ns);
         }
         let said = self.delays.take(sample).into_iter().chain(sample.seq.and_then(|seq| self.sequence.take(seq)));
         said.for_each(|said| tracing::warn!("{}: {said}", self.name));
@@ -394,12 +398,18 @@ impl Parser {
         });
         let not_later = (self.not_later > 0).then(|| {
             format!(
-                "the time of {} is not later than that of the row before: give all digits of the time, and the rows in \
-                 their order",
-                plural(self.not_later, "row")
+                "the time of {} is not later than that of the one before: give all digits of the time, each sample \
+                 once, and all in their order",
+                plural(self.not_later, "sample")
             )
         });
-        silent.into_iter().chain(untimely).chain(not_later).chain(self.delays.doubt()).collect()
+        silent
+            .into_iter()
+            .chain(untimely)
+            .chain(not_later)
+            .chain(self.delays.doubt())
+            .chain(self.bursts.doubt())
+            .collect()
     }
 
     fn sample(&self, bytes: &[u8], arrival_ns: i64) -> Option<CurrentSample> {
@@ -446,7 +456,7 @@ mod tests {
         table.take(format!("{now},0.1").as_bytes());
         assert!(table.doubts().is_empty(), "{:?}", table.doubts());
         table.take(format!("{now},0.2").as_bytes());
-        assert!(table.doubts().concat().contains("the time of 1 row is not later"), "{:?}", table.doubts());
+        assert!(table.doubts().concat().contains("the time of 1 sample is not later"), "{:?}", table.doubts());
         table.take(format!("{},0.1", now + 1_000_000_000).as_bytes());
         assert!(table.delays.is_ahead());
     }
@@ -463,6 +473,16 @@ mod tests {
         assert_eq!(take(1_000_000), "");
         take(-7_500_000_000);
         assert!(parser.delays.is_ahead());
+    }
+
+    #[test]
+    fn datagrams_whose_times_stand_still_are_told() {
+        let (mut parser, _line) = parser(None);
+        let now = parser.clock.now_ns();
+        for host_ns in [now, now, now + 1] {
+            parser.take(format!(r#"{{"current_a":[0.1],"host_ns":{host_ns}}}"#).as_bytes());
+        }
+        assert!(parser.doubts().concat().contains("the time of 1 sample is not later"), "{:?}", parser.doubts());
     }
 
     #[test]

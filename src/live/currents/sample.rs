@@ -46,8 +46,7 @@ pub(super) fn sample(
         // `0,4; 0,2` are two currents, not four.
         (None, false) if has_decimal_commas(text) => return None,
         (None, false) => {
-            let numbers = text.split([',', ';', ' ', '\t']).filter(|cell| !cell.is_empty());
-            let current_a = numbers.map(|cell| cell.parse().ok()).collect::<Option<_>>()?;
+            let current_a = bare_numbers(text)?;
             CurrentSample { host_ns: arrival_ns, arrival_ns, seq: None, current_a }
         }
         (Some(columns), _) => {
@@ -71,6 +70,22 @@ pub(super) fn sample(
     sound.then_some(sample)
 }
 
+/// Numbers between commas, semicolons or blanks; one of the first two may end the line. `None` where one is lacking:
+/// those behind it would count for other coils.
+fn bare_numbers(text: &str) -> Option<Vec<f64>> {
+    let mut all = Vec::new();
+    for place in text.strip_suffix([',', ';']).unwrap_or(text).split([',', ';']) {
+        let before = all.len();
+        for number in place.split_whitespace() {
+            all.push(number.parse().ok()?);
+        }
+        if all.len() == before {
+            return None;
+        }
+    }
+    Some(all)
+}
+
 /// Whether a comma in a line of bare numbers is a decimal one: something else stands between the currents.
 pub(super) fn has_decimal_commas(line: &str) -> bool {
     let line = line.trim();
@@ -90,6 +105,9 @@ mod tests {
         assert_eq!(full, CurrentSample { host_ns: 5, arrival_ns: 99, seq: Some(7), current_a: vec![0.1, -0.2] });
         let bare = of(" 0.1, 0 -3e-2\n").unwrap();
         assert_eq!(bare, CurrentSample { host_ns: 99, arrival_ns: 99, seq: None, current_a: vec![0.1, 0.0, -0.03] });
+        assert_eq!(of("0.1;\t0.2;").unwrap().current_a, [0.1, 0.2]);
+        // The last would be the second coil's.
+        assert_eq!([of("0.1,,0.2"), of(",0.1"), of("0.1, ,0.2"), of(",")], [None, None, None, None]);
     }
 
     /// A further column of times is no coil, and a row without all cells no sample.

@@ -102,6 +102,7 @@ fn simulate(of: fn(usize) -> Point3<f64>, pause_s: f64, corner_hz: f64, spoiled:
         currents: Vec::new(),
         cut: None,
         vetoed: 0,
+        currents_lost: 0,
     }
 }
 

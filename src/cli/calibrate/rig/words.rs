@@ -2,12 +2,17 @@
 
 use super::super::pictures;
 use super::Seen;
-use crate::calibrate::bundle::{NoSolution, surface_sd};
+use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::{NoSolution, Solution, surface_sd};
 use crate::calibrate::geometry::Parameter;
+use crate::calibrate::rig::diagnostics::{CONTRADICTION_SD, Compared, compared};
 use crate::calibrate::rig::expected_error::Verdict;
 use crate::calibrate::rig::held_out::{HeldOut, LengthErrors};
 use crate::calibrate::rig::{RigCalibration, RigOptions};
 use std::fmt::Write as _;
+
+/// What was given is not checked if everything else would know it this many times worse.
+const UNCHECKED: f64 = 3.0;
 
 pub(super) fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, options: &RigOptions) -> String {
     let mut text = pictures::table(seen.searched(), done.used.iter().map(|(_, picture)| picture), &done.left_out);
@@ -50,11 +55,30 @@ pub(super) fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdi
             solution.sd(Parameter::IndexInside).map_or("fixed".to_owned(), |sd| format!("{sd:.4}"))
         );
     }
+    text += &describe_unchecked(solution);
     match judged {
         Some(judged) => text += &describe_verdict(judged),
         None => text += "\nno verdict: the boards fill no volume that two views see\n",
     }
     text
+}
+
+/// What was given and is believed, because everything else would hardly contradict it.
+fn describe_unchecked(solution: &Solution) -> String {
+    let what = |known: &Prior| {
+        let times_worse = match compared(solution, known) {
+            None => "hardly at all".to_owned(),
+            Some(Compared { off, .. }) if off > CONTRADICTION_SD => return None,
+            Some(Compared { rest_sd, .. }) => format!("{:.0} times worse", rest_sd.filter(|sd| *sd > UNCHECKED)?),
+        };
+        Some(format!("{} (all else knows it {times_worse})", known.what(&solution.geometry)))
+    };
+    let all: Vec<String> = solution.known.iter().filter_map(what).collect();
+    if all.is_empty() {
+        String::new()
+    } else {
+        format!("\ntaken as given, a mistake would hardly show: {}\n", all.join(", "))
+    }
 }
 
 fn describe_verdict(judged: &Verdict) -> String {

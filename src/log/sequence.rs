@@ -8,7 +8,7 @@ const OVERTAKEN: u64 = 16;
 
 /// Counts of samples with numbers.
 #[derive(Debug, Default)]
-pub(super) struct Sequence {
+pub(crate) struct Sequence {
     latest: Option<u64>,
     lost: u64,
     /// Samples that are not later than the latest: repeated, or late.
@@ -18,7 +18,7 @@ pub(super) struct Sequence {
 
 impl Sequence {
     /// Takes a sample's number; what to say of it, if it is the first of its kind.
-    pub(super) fn take(&mut self, seq: u64) -> Option<String> {
+    pub(crate) fn take(&mut self, seq: u64) -> Option<String> {
         let latest = self.latest.replace(seq)?;
         if seq > latest {
             let missing = seq - latest - 1;
@@ -39,10 +39,15 @@ impl Sequence {
         first.then(|| format!("sample {seq} of currents came after {latest}, twice or late; more are counted"))
     }
 
-    /// How many were lost, and how many came twice or late, in words. Late ones are not lost.
-    pub(super) fn report(&self) -> [(u64, &'static str); 3] {
+    /// How many were lost. Late ones are not.
+    pub(crate) fn lost(&self) -> u64 {
+        self.lost.saturating_sub(self.not_later)
+    }
+
+    /// How many were lost, and how many came twice or late, in words.
+    pub(crate) fn report(&self) -> [(u64, &'static str); 3] {
         [
-            (self.lost.saturating_sub(self.not_later), "samples were lost on their way, or came late"),
+            (self.lost(), "samples were lost on their way, or came late"),
             (self.not_later, "samples came twice or late"),
             (self.restarts, "times the numbers of samples began anew"),
         ]
