@@ -19,6 +19,11 @@ pub(crate) fn optional_number(message: &DynamicMessage, field: &str) -> Option<i
     message.has_field_by_name(field).then(|| number(message, field)).flatten()
 }
 
+/// An optional whole number from 0.
+pub(crate) fn optional_whole(message: &DynamicMessage, field: &str) -> Option<u64> {
+    optional_number(message, field).and_then(|n| u64::try_from(n).ok())
+}
+
 /// A whole number from 0; 0 when absent.
 pub(crate) fn whole(message: &DynamicMessage, field: &str) -> u64 {
     number(message, field).and_then(|n| u64::try_from(n).ok()).unwrap_or(0)

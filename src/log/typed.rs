@@ -2,7 +2,7 @@
 //!
 //! Fields missing in a log of another version count as unknown.
 
-use super::fields::{float, floats, inner, list, number, optional_number, text, whole, xyz};
+use super::fields::{float, floats, inner, list, number, optional_number, optional_whole, text, whole, xyz};
 use super::schema::messages::{
     Angles, Band, Current, DriftAlarm, Estimate, Health, Marker, MissCount, Position, Status, Tangent, View,
 };
@@ -34,7 +34,6 @@ pub(crate) fn health(message: &DynamicMessage) -> Health {
         reason: text(miss, "reason").unwrap_or_default(),
         frames: whole(miss, "frames"),
     };
-    let optional_whole = |field| optional_number(message, field).and_then(|n| u64::try_from(n).ok());
     Health {
         stamp_ns: number(message, "stamp_ns").unwrap_or(0),
         frames: whole(message, "frames"),
@@ -43,8 +42,8 @@ pub(crate) fn health(message: &DynamicMessage) -> Health {
         deflections: whole(message, "deflections"),
         misses: list(message, "misses").iter().map(miss).collect(),
         drifts: list(message, "drifts").iter().map(drift).collect(),
-        pictures_recorded: optional_whole("pictures_recorded"),
-        pictures_dropped: optional_whole("pictures_dropped"),
+        pictures_recorded: optional_whole(message, "pictures_recorded"),
+        pictures_dropped: optional_whole(message, "pictures_dropped"),
     }
 }
 
@@ -53,7 +52,7 @@ pub(crate) fn current(message: &DynamicMessage) -> Option<Current> {
     Some(Current {
         host_ns: number(message, "host_ns")?,
         arrival_ns: number(message, "arrival_ns").unwrap_or(0),
-        seq: optional_number(message, "seq").and_then(|n| u64::try_from(n).ok()),
+        seq: optional_whole(message, "seq"),
         current_a: floats(message, "current_a"),
     })
 }
@@ -143,7 +142,7 @@ fn status(message: &DynamicMessage, field: &str) -> Status {
     let Some(status) = inner(message, field) else { return Status::default() };
     Status {
         word: text(&status, "word").unwrap_or_default(),
-        candidates: optional_number(&status, "candidates").and_then(|n| u64::try_from(n).ok()),
+        candidates: optional_whole(&status, "candidates"),
         distance_m: optional_float(&status, "distance_m"),
         moved_px: optional_float(&status, "moved_px"),
         separation: optional_float(&status, "separation"),

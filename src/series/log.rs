@@ -1,9 +1,9 @@
 //! A run from its log: `/catheter/estimate` and `/coil/current`, in the order of the file.
 
-use super::{Current, Frame, Place, Recording, SeriesError};
+use super::{Current, Frame, OK, Place, Recording, SeriesError};
 use crate::log::LogError;
 use crate::log::decoder::MessageDecoder;
-use crate::log::fields::{float, floats, inner, list, number, optional_number, text, whole, word, xyz};
+use crate::log::fields::{float, floats, inner, list, number, optional_number, optional_whole, text, whole, word, xyz};
 use crate::log::records;
 use crate::log::schema::Topic;
 use crate::log::sequence::Sequence;
@@ -15,9 +15,6 @@ use prost_reflect::DynamicMessage;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::path::Path;
-
-/// The status of what was measured.
-const OK: &str = "ok";
 
 /// Reads the log at `path`, as far as it goes if it was cut off.
 pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
@@ -79,7 +76,7 @@ impl Reader {
                 let taken = decoded.and_then(|message| match is_estimate {
                     true => self.estimate(&message).ok_or_else(|| "it has no time".to_owned()),
                     false => {
-                        if let Some(seq) = optional_number(&message, "seq").and_then(|seq| u64::try_from(seq).ok()) {
+                        if let Some(seq) = optional_whole(&message, "seq") {
                             self.sequence.take(seq);
                         }
                         self.currents.push(current(&message));
@@ -119,7 +116,7 @@ impl Reader {
             places: self.markers.iter().enumerate().map(|(k, name)| place_of(&markers, k, name)).collect(),
             tangent: tangent.as_ref().and_then(|tangent| in_either(tangent, "in_base", "in_camera")).map(Vector3::from),
             tangent_sd_rad: tangent.as_ref().and_then(|tangent| float(tangent, "sd_rad")),
-            tick: optional_number(message, "tick").and_then(|tick| u64::try_from(tick).ok()),
+            tick: optional_whole(message, "tick"),
         };
         let lacks = |place: &Place| place.status == OK && place.point.is_none();
         let lacks_theta = frame.theta_rad.is_none() && frame.theta_status.as_deref() == Some(OK);
@@ -142,9 +139,11 @@ fn reference(markers: &[DynamicMessage], tangent: Option<&DynamicMessage>) -> Op
 /// The place of the marker of a name, which mostly is the `k`-th; elsewhere it is found if it is the only one.
 fn place_of(markers: &[DynamicMessage], k: usize, name: &str) -> Place {
     let is_it = |marker: &&DynamicMessage| text(marker, "name").unwrap_or_default() == name;
-    let mut named = markers.iter().filter(is_it);
-    let only = named.next().filter(|_| named.next().is_none());
-    let marker = markers.get(k).filter(is_it).or(only);
+    let only = || {
+        let mut named = markers.iter().filter(is_it);
+        named.next().filter(|_| named.next().is_none())
+    };
+    let marker = markers.get(k).filter(is_it).or_else(only);
     marker.map_or_else(|| Place { point: None, sd_m: None, status: String::new() }, place)
 }
 

@@ -37,6 +37,9 @@ use crate::vetoes::{self, VETOED, Vetoes};
 use nalgebra::{Point3, Vector3};
 use std::path::{Path, PathBuf};
 
+/// The status of what was measured.
+const OK: &str = "ok";
+
 /// A tracked run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {

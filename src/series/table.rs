@@ -4,7 +4,7 @@
 //! …; `x_mm` without a name is the tip's). Everything else is optional.
 
 use super::sheet::{Row, Sheet, is_missing};
-use super::{Frame, Place, Recording, SeriesError};
+use super::{Frame, OK, Place, Recording, SeriesError};
 use crate::log::schema::table as columns;
 use crate::sink::OutputFrame;
 use crate::source::times::seconds;
@@ -16,8 +16,6 @@ const UNNAMED: &str = "tip";
 const M_PER_MM: f64 = 1e-3;
 /// Times that are written twice span the same, but for this fraction.
 const SAME_SPAN: f64 = 0.01;
-/// The status of a place that was measured.
-const OK: &str = "ok";
 
 /// Columns of a marker.
 struct Marker {

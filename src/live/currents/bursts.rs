@@ -45,10 +45,13 @@ impl Bursts {
             }
             (self.silence_ns, self.burst) = (interval_ns, 0);
         } else if self.silence_ns > 0 && times < TOGETHER {
-            self.burst += 1;
             let should_have_come = usual_ns.map_or(0.0, |usual_ns| self.silence_ns as f64 / usual_ns) - 1.0;
-            if self.burst as f64 >= MADE_UP * should_have_come {
-                self.late += if self.burst as f64 - 1.0 < MADE_UP * should_have_come { self.burst } else { 1 };
+            // All of a burst are late once they are enough.
+            let late = |burst: u64| if burst as f64 >= MADE_UP * should_have_come { burst } else { 0 };
+            let before = late(self.burst);
+            self.burst += 1;
+            self.late += late(self.burst) - before;
+            if late(self.burst) > 0 {
                 self.longest_ns = self.longest_ns.max(self.silence_ns);
             }
         } else {
