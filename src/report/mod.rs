@@ -85,8 +85,6 @@ impl Sink for ReportSink {
         if let Some(picture) = picture {
             self.moments.add(estimate, picture);
         }
-        // While the tracker works: the run waits for what is left to the end.
-        page::prepare();
         Ok(())
     }
 

@@ -1,7 +1,8 @@
 //! The first, the best and the worst frame of a run, and their pictures.
 //!
 //! Best and worst are judged first by misses, then by σ. A picture is kept when its frame is a twentieth better or
-//! worse than the one kept before: two are in memory. The first is drawn at once, while the tracker works.
+//! worse than the one kept before: two are in memory. The first is drawn at once, in a thread of its own: the pipeline
+//! would wait for it.
 
 use super::html::Html;
 use super::page;
@@ -10,6 +11,9 @@ use crate::rig::Rig;
 use crate::sink::{Origin, StillError, Stills};
 use crate::source::{Picture, Window};
 use rayon::prelude::*;
+use std::panic::resume_unwind;
+use std::sync::Arc;
+use std::thread::{Builder, JoinHandle};
 
 /// Least ratio of σ to replace a frame.
 const STEP: f64 = 1.05;
@@ -18,7 +22,7 @@ const MARGIN: (f64, f64) = (0.15, 50.0);
 
 /// The frames shown.
 pub(super) struct Moments {
-    stills: Stills,
+    stills: Arc<Stills>,
     views: Vec<String>,
     names: Vec<String>,
     first: Option<First>,
@@ -26,10 +30,26 @@ pub(super) struct Moments {
     worst: Option<Moment>,
 }
 
-/// The first frame, and its picture as a file.
+/// The first frame, and the thread that makes its picture a file.
 struct First {
     estimate: Estimate,
-    drawn: Result<Vec<u8>, StillError>,
+    drawing: Result<JoinHandle<Result<Vec<u8>, StillError>>, StillError>,
+}
+
+impl First {
+    fn new(stills: &Arc<Stills>, estimate: &Estimate, picture: &Picture) -> Self {
+        let estimate = estimate.clone();
+        let (stills, of, picture) = (stills.clone(), estimate.clone(), picture.clone());
+        let draw = move || {
+            let drawn = stills.jpeg(&picture, &of, Window::whole(picture.size_px()));
+            drop(picture);
+            // Nor shall the end wait for what all pages have in common.
+            page::prepare();
+            drawn
+        };
+        let drawing = Builder::new().name("first picture".to_owned()).spawn(draw).map_err(StillError::Thread);
+        Self { estimate, drawing }
+    }
 }
 
 struct Moment {
@@ -66,7 +86,7 @@ impl Quality {
 impl Moments {
     pub(super) fn new(rig: &Rig) -> Self {
         Self {
-            stills: Stills::new(rig),
+            stills: Arc::new(Stills::new(rig)),
             views: rig.views.iter().map(|v| v.name.clone()).collect(),
             names: rig.markers.iter().map(|m| m.name.clone()).collect(),
             first: None,
@@ -88,18 +108,15 @@ impl Moments {
                 *place = Some(Moment { estimate: estimate.clone(), picture: picture.clone(), quality });
             }
         };
-        self.first.get_or_insert_with(|| First {
-            estimate: estimate.clone(),
-            drawn: self.stills.jpeg(picture, estimate, Window::whole(picture.size_px())),
-        });
+        self.first.get_or_insert_with(|| First::new(&self.stills, estimate, picture));
         keep(best, &mut self.best);
         keep(worst, &mut self.worst);
     }
 
     /// The section of the page; `frames`: the number of frames in the run.
-    pub(super) fn section(&self, frames: u64, origin: Option<Origin>) -> String {
+    pub(super) fn section(&mut self, frames: u64, origin: Option<Origin>) -> String {
         let title = "<h2>What it saw</h2>\n";
-        let Some(first) = &self.first else {
+        let Some(first) = self.first.take() else {
             return match frames {
                 0 => String::new(),
                 _ => format!(
@@ -128,7 +145,8 @@ impl Moments {
                 figure(name, &moment.estimate, &self.stills.jpeg(&moment.picture, &moment.estimate, part))
             })
             .collect();
-        let whole = figure("First frame", &first.estimate, &first.drawn);
+        let drawn = first.drawing.and_then(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)));
+        let whole = figure("First frame", &first.estimate, &drawn);
         let pictures = if cut.is_empty() { whole } else { format!("{whole}<div class=\"pair\">\n{cut}</div>\n") };
         format!(
             "{title}<p>Outlines are the bands as fitted, crosses their middles, the arrow is the coil's direction. \

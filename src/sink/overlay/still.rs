@@ -29,6 +29,8 @@ pub(crate) enum StillError {
     Draw(#[from] opencv::Error),
     #[error("JPEG: {0}")]
     Jpeg(ffmpeg_the_third::Error),
+    #[error("no thread for it: {0}")]
+    Thread(std::io::Error),
 }
 
 impl Stills {
