@@ -17,6 +17,7 @@
 //! 0.3`) would be a wrong current, and are left out.
 
 mod bursts;
+mod datagrams;
 mod delays;
 mod followed;
 mod parser;
@@ -29,11 +30,12 @@ pub(crate) use parser::currents_of;
 use super::listener::Listener;
 use crate::sink::CurrentSample;
 use crate::source::host::HostClock;
+use datagrams::Datagrams;
 use followed::Followed;
 use parser::{Parser, Start};
 use std::fmt;
 use std::io::{self, Cursor};
-use std::net::{Ipv4Addr, SocketAddr, ToSocketAddrs as _, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, ToSocketAddrs as _};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
@@ -151,9 +153,8 @@ impl CurrentSource {
         let stop = Arc::clone(stop);
         let receive: Box<dyn FnOnce() + Send> = match self {
             Self::Udp(address) => {
-                let socket = UdpSocket::bind(address)?;
-                socket.set_read_timeout(Some(STOP_POLL_INTERVAL))?;
-                Box::new(move || parser.datagrams(&socket, &stop))
+                let datagrams = Datagrams::open(*address, STOP_POLL_INTERVAL, clock)?;
+                Box::new(move || parser.datagrams(&datagrams, &stop))
             }
             Self::Serial(device, baud) => {
                 let line = serial(device, *baud)?;
@@ -194,6 +195,7 @@ fn serial(_: &Path, _: u32) -> io::Result<std::fs::File> {
 mod tests {
     use super::*;
     use std::io::{ErrorKind, Write as _};
+    use std::net::UdpSocket;
     use std::sync::atomic::Ordering;
 
     #[test]

@@ -3,6 +3,7 @@
 
 use super::super::listener::Listener;
 use super::bursts::Bursts;
+use super::datagrams::Datagrams;
 use super::delays::Delays;
 use super::sample::{columns, has_decimal_commas, sample};
 use super::{POLL_INTERVAL, STOP_POLL_INTERVAL};
@@ -14,7 +15,7 @@ use crate::source::host::HostClock;
 use crate::source::times::seconds;
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
@@ -106,13 +107,13 @@ impl Parser {
         Ok(reader)
     }
 
-    pub(super) fn datagrams(&mut self, socket: &UdpSocket, stop: &AtomicBool) {
-        let mut bytes = [0; 65_536];
+    pub(super) fn datagrams(&mut self, from: &Datagrams, stop: &AtomicBool) {
+        let mut buffer = [0; 65_536];
         while !stop.load(Ordering::Relaxed) {
-            match socket.recv_from(&mut bytes) {
-                Ok((length, sender)) => {
-                    self.count(sender);
-                    self.take(bytes.get(..length).unwrap_or_default());
+            match from.next(&mut buffer) {
+                Ok(datagram) => {
+                    self.count(datagram.sender);
+                    self.take_at(datagram.bytes, datagram.arrival_ns);
                 }
                 Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
                 Err(error) => {
@@ -244,8 +245,12 @@ impl Parser {
         false
     }
 
+    /// Takes what was just read.
     fn take(&mut self, bytes: &[u8]) {
-        let arrival_ns = self.clock.now_ns();
+        self.take_at(bytes, self.clock.now_ns());
+    }
+
+    fn take_at(&mut self, bytes: &[u8], arrival_ns: i64) {
         match self.sample(bytes, arrival_ns) {
             Some(sample) if !self.is_plausible(&sample) => {
                 self.implausible += 1;
