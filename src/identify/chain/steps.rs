@@ -13,12 +13,13 @@ use crate::identify::checks::residuals::Residuals;
 use crate::identify::checks::wrong_values::{leaves_sigma, wrong_values};
 use crate::identify::data::segments::{Data, Record, Segment};
 use crate::identify::data::spectrum::{Spectrum, spectrum};
-use crate::identify::estimate::between_samples::{self, Answer, PASSES};
+use crate::identify::estimate::between_samples::{self, Answer, MAX_PASSES, is_settled};
 use crate::identify::estimate::estimated::{Estimated, Refined};
 use crate::identify::estimate::initial_models::initial_models;
 use crate::identify::estimate::search::{Candidate, Criterion, best, search};
 use crate::identify::estimate::shortest_delay::{as_well, is_better, shortest};
 use crate::identify::estimate::{arx, instrumental, output_error};
+use crate::identify::model::continuous::Continuous;
 use crate::identify::model::covariance::Covariance;
 use crate::identify::model::modelled::{BodePoint, Modelled, Role, bandwidths};
 use crate::identify::model::polynomials::{Noise, Orders, Polynomials, angle};
@@ -61,31 +62,37 @@ pub(crate) fn identify_with_progress(
         return Ok(Identification { held: Some(held), ..done });
     }
     let mut done = identify_held(data, &data.training, settings, progress)?;
+    done.models.iter_mut().for_each(Modelled::forget_sigma);
     done.diagnostics.push(Diagnostic::BetweenSamples);
     Ok(done)
 }
 
-/// The data without what inputs do between samples, by the refined models of [`PASSES`] identifications; `None` where
-/// one of them has no H(s).
+/// The data without what inputs do between samples, by the refined model of one identification after the other until
+/// they agree; `None` where one of them has no H(s), or they do not.
 ///
 /// # Errors
 /// Those of the first.
 fn taken_off(data: &Data, settings: &Settings) -> Result<Option<Data>, IdentifyError> {
     let mut found = identify_held(data, &data.training, settings, &|_| {})?;
     let orders = Settings { choice: settings.choice.of_orders(found.orders), ..settings.clone() };
-    let mut held = None;
-    for pass in 1..=PASSES {
+    let nyquist_hz = 0.5 / data.period_s;
+    let excited_hz = found.spectrum.as_ref().map_or((0.0, nyquist_hz), |spectrum| spectrum.excited_hz);
+    let mut taken: Option<(Continuous, Data)> = None;
+    for _ in 0..MAX_PASSES {
         let refined = found.models.iter().find(|model| model.role == Role::Refined);
-        let own = refined.and_then(|model| model.continuous.as_ref());
-        let Some(answer) = own.and_then(|own| Answer::of(&own.model, data.period_s)) else { return Ok(None) };
-        let without = answer.taken_off_all(data);
-        if pass < PASSES {
-            let Ok(next) = identify_held(&without, &data.training, &orders, &|_| {}) else { return Ok(None) };
-            found = next;
+        let Some(own) = refined.and_then(|model| model.continuous.as_ref()).map(|own| own.model.clone()) else { break };
+        if let Some((last, without)) = taken.take()
+            && is_settled(&last, &own, excited_hz)
+        {
+            return Ok(Some(without));
         }
-        held = Some(without);
+        let Some(answer) = Answer::of(&own, data.period_s) else { break };
+        let without = answer.taken_off_all(data);
+        let Ok(next) = identify_held(&without, &data.training, &orders, &|_| {}) else { break };
+        found = next;
+        taken = Some((own, without));
     }
-    Ok(held)
+    Ok(None)
 }
 
 /// Identifies with inputs that are held between samples. `measured`: the records to be fitted, with their outputs as

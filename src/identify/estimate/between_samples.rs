@@ -9,8 +9,20 @@ use crate::identify::data::segments::{Data, PARTS, Record, Segment};
 use crate::identify::model::continuous::{Continuous, Conversion};
 use crate::identify::model::polynomials::Polynomials;
 
-/// Models whose answers are taken off, one after the other: each is found without what the one before told.
-pub(in crate::identify) const PASSES: usize = 2;
+/// Most models whose answers are taken off, one after the other: each is found without what the one before told. The
+/// error of their gains falls to a sixth each time where commands reach up to the third part of half the sampling rate.
+pub(in crate::identify) const MAX_PASSES: usize = 12;
+/// Models agree whose responses differ by no more than this part.
+const SETTLED: f64 = 1e-5;
+
+/// Whether the next model no longer differs from the one before in the frequencies between two, hertz.
+pub(in crate::identify) fn is_settled(last: &Continuous, next: &Continuous, (from_hz, to_hz): (f64, f64)) -> bool {
+    [0.0, 0.25, 0.5, 0.75, 1.0].iter().all(|part| {
+        let hz = from_hz + part * (to_hz - from_hz);
+        let (last, next) = (last.response(hz), next.response(hz));
+        (next - last).norm() <= SETTLED * last.norm()
+    })
+}
 
 /// Whether the input of some segment is known to change between samples.
 pub(in crate::identify) fn is_in<'a>(segments: impl IntoIterator<Item = &'a Segment>) -> bool {

@@ -19,7 +19,7 @@
 use crate::digits::fixed;
 use crate::identify::data::segments::Segment;
 use crate::identify::estimate::arx;
-use crate::identify::estimate::between_samples::{self, Answer, PASSES};
+use crate::identify::estimate::between_samples::{self, Answer, MAX_PASSES};
 use crate::identify::estimate::noise_colour::Colour;
 use crate::identify::estimate::output_error::{
     self, Derivatives, derivatives_and_residual, fitted_besides, linearised, squares, triangle,
@@ -64,6 +64,8 @@ const BLOCKS: usize = 10;
 /// Systematic error of the method, in periods. Simulated over all phases between amplifier and camera: 0.2 % to 0.6 %
 /// of a period.
 const METHOD_ERROR: f64 = 0.005;
+/// The delay no longer changes with what is taken off between samples, in periods.
+const SETTLED: f64 = 1e-4;
 
 /// A delay between commands and output.
 #[derive(Debug, Clone, PartialEq)]
@@ -205,14 +207,18 @@ pub(crate) fn estimate(
     // 3. the same with what the commands do between samples, by the models found
     let changes = between_samples::is_in(&segments(best.at.timing, Inputs::Changing)?);
     let mut answer = None;
-    for _ in 0..if changes { PASSES } else { 0 } {
+    for _ in 0..if changes { MAX_PASSES } else { 0 } {
         let own = Continuous::of(&best.at.model, period_s).and_then(|model| Answer::of(&model, period_s));
         let Some(own) = own else { break };
         let without = |timing| without(&segments, timing, &own);
         let search = Search { period_s, own_clock, segments: &without };
         let Some(next) = search.run(best.at.clone(), FINAL_STEPS) else { break };
+        let moved_s = (delay_of(&next) - delay_of(&best)).abs();
         best = next;
         answer = Some(own);
+        if moved_s < SETTLED * period_s {
+            break;
+        }
     }
     let Lowest { at: best, cost, .. } = best;
     let taken_s = best.timing.delay_s;
