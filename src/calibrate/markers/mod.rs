@@ -188,7 +188,7 @@ impl Teaching {
         if let Ok(views) = learn_everywhere(rig, frames) {
             self.views = views;
         }
-        let mut tracker = Tracker::new(rig, TrackOptions::default())?;
+        let mut tracker = Tracker::lenient(rig)?;
         let estimates = frames.iter().map(|frame| tracker.step(frame)).collect::<Result<Vec<_>, _>>()?;
         for (m, marker) in rig.markers.iter_mut().enumerate() {
             marker.usual_residuals = tracker.usual_residuals(m);
@@ -282,7 +282,7 @@ impl Teaching {
 }
 
 fn track(rig: &Rig, frames: &[Frame]) -> Result<Vec<Estimate>, MarkersError> {
-    let mut tracker = Tracker::new(rig, TrackOptions::default())?;
+    let mut tracker = Tracker::lenient(rig)?;
     Ok(frames.iter().map(|frame| tracker.step(frame)).collect::<Result<_, _>>()?)
 }
 

@@ -10,7 +10,7 @@ use crate::track::fit::group_fit::{DISAGREEMENT, Fitted};
 use crate::track::fit::tube_fit::ViewFit;
 use crate::track::judge::light_change::{FirstColours, Noisier};
 use crate::track::memory::at_rest::Stays;
-use crate::track::memory::usual::Usual;
+use crate::track::memory::usual::{LEARNED_SD, Usual};
 use crate::track::model::functions::Encoding;
 use crate::track::model::separation;
 use crate::track::model::stretch::groups;
@@ -21,7 +21,12 @@ use nalgebra::Vector2;
 const MAX_UNUSUAL_SD: f64 = 4.5;
 /// Cap on the size's part: alone it is no evidence, as it also changes with light and motion.
 const MAX_SIZE_TERM: f64 = 3.0;
-/// Widths that differ from the usual by fewer standard deviations are chance.
+/// Where looks have changed in all views of a band alike: the least excess of residuals, as a part of the largest; and
+/// what may speak for it that less is seen of the band.
+const ALIKE: f64 = 1.0 / 3.0;
+const WHOLE_SD: f64 = 2.0;
+/// Widths, and sizes of bands beside the reference, that differ from the usual by fewer standard deviations are
+/// chance.
 const CHANCE_SD: f64 = 1.5;
 
 /// Frames over which the disagreement of the views is averaged.
@@ -41,6 +46,8 @@ const SLIP_FRAMES: f64 = 20.0;
 
 /// What is known from the frames before.
 pub(in crate::track) struct Judge {
+    /// Whether looks are expected to change: while a rig's bands are learned.
+    lenient: bool,
     /// Residuals of each band in each view, in the light of the first frames: in motion, once the catheter has moved.
     pub usual: Usual,
     stays: Stays,
@@ -96,6 +103,37 @@ struct Residual {
     rms: f64,
 }
 
+/// What in a view speaks against a fit, in standard deviations but for the excess.
+struct Sign {
+    /// Of the residual beyond the usual.
+    of_residual: f64,
+    /// ln of the residual over the usual or learned one, at least 0.
+    excess: f64,
+    /// Of what is seen of the bands: their sizes and widths.
+    of_form: f64,
+}
+
+impl Sign {
+    fn whole(&self) -> f64 {
+        self.of_residual.hypot(self.of_form)
+    }
+}
+
+/// Signs of all views together.
+fn sum(signs: impl Iterator<Item = f64>) -> f64 {
+    signs.map(|sign| sign * sign).sum::<f64>().sqrt()
+}
+
+/// Whether all views look otherwise than before, and about equally so: then the pictures have changed, as a coder's do
+/// in faster motion. What is in front of a band hides it in one view.
+fn look_alike(signs: &[Sign]) -> bool {
+    let least = signs.iter().map(|sign| sign.excess).fold(f64::INFINITY, f64::min);
+    let most = signs.iter().map(|sign| sign.excess).fold(0.0, f64::max);
+    let beyond = |sign: &Sign| ((sign.excess - least) / LEARNED_SD).hypot(sign.of_form);
+    let whole = signs.iter().all(|sign| sign.of_form < WHOLE_SD);
+    signs.len() > 1 && whole && least >= ALIKE * most && sum(signs.iter().map(beyond)) <= MAX_UNUSUAL_SD
+}
+
 /// Sum of the squares of so many signs up to which they are chance: its mean and 1.8 standard deviations. Each sign is
 /// normally distributed and counts above zero only, so its square is 1/2 in the mean, with a variance of 5/4. (Coded
 /// pictures differ from frame to frame, as some predict others: with less than this, a quarter of them had a σ that
@@ -121,6 +159,7 @@ fn whole_stretches(rig: &Rig) -> Vec<usize> {
 impl Judge {
     pub(in crate::track) fn new(rig: &Rig) -> Self {
         Self {
+            lenient: false,
             usual: Usual::learned(rig),
             stays: Stays::new(rig),
             first_colours: FirstColours::new(rig),
@@ -133,6 +172,11 @@ impl Judge {
             slip: Seen::default(),
             mean_slip_px: Vector2::zeros(),
         }
+    }
+
+    /// A judge of frames in which looks may change from one to the next.
+    pub(in crate::track) fn lenient(rig: &Rig) -> Self {
+        Self { lenient: true, ..Self::new(rig) }
     }
 
     /// Whether the views lastingly disagree about a band.
@@ -179,37 +223,45 @@ impl Judge {
             let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);
             *mean += (now - *mean) / DISAGREEMENT_FRAMES;
             fit.covariance *= (*mean - 1.0).max(1.0);
-            // Expected area of the reference band over that of its blob.
-            let missing = |v: usize, view: &ViewFit| {
-                let blob = found.assigned[group.reference].as_ref().ok()?.blobs[v]?;
-                let knot = view.image.at_arc(0.0);
-                let expected = 2.0 * knot.half_width * knot.scale * rig.markers[group.reference].length_m;
-                Some(expected / found.blobs[blob].area_px2)
+            // Expected areas of the bands over those of their blobs.
+            let missing = |v: usize, view: &ViewFit, &(marker, arc_m): &(usize, f64)| {
+                let blob = found.assigned[marker].as_ref().ok()?.blobs[v]?;
+                let knot = view.image.at_arc(arc_m);
+                let expected = 2.0 * knot.half_width * knot.scale * rig.markers[marker].length_m;
+                Some((marker, expected / found.blobs[blob].area_px2))
             };
-            let sizes: Vec<_> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
+            let sizes = |(&v, view): (&usize, &ViewFit)| -> Vec<_> {
+                group.members.iter().filter_map(|member| missing(v, view, member)).collect()
+            };
+            let sizes: Vec<Vec<_>> = views.iter().zip(&fit.views).map(sizes).collect();
             let signs = residuals.iter().zip(&fit.views).zip(&sizes);
-            let signs = signs.map(|((&Residual { alike, view: v, rms }, view), size)| {
-                let of_size =
-                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size, 0.0)).min(MAX_SIZE_TERM);
+            let signs = signs.map(|((&Residual { alike, view: v, rms }, view), sizes)| {
+                // The more bands, the larger is the largest by chance.
+                let of_sizes = sizes.iter().map(|&(marker, size)| {
+                    let by_chance = if marker == group.reference { 0.0 } else { CHANCE_SD };
+                    self.usual_size.above(marker, v, size, 0.0) - by_chance
+                });
+                let of_size = of_sizes.fold(0.0, f64::max).min(MAX_SIZE_TERM);
                 let half_px = view.image.at_arc(0.0).half_width;
                 let of_widths = group.members.iter().zip(&view.widths).map(|((marker, _), width)| {
                     (self.usual_widths.unusual_sd(*marker, v, width, half_px) - CHANCE_SD).max(0.0)
                 });
                 let of_widths = of_widths.fold(0.0, f64::max);
-                let of_residuals = if alike == group.reference {
+                let of_residual = if alike == group.reference {
                     self.usual.above(alike, v, rms, common)
                 } else {
                     self.usual.above_alike(alike, v, rms, common)
                 };
-                of_residuals.hypot(of_size).hypot(of_widths)
+                Sign { of_residual, excess: self.usual.excess(alike, v, rms), of_form: of_size.hypot(of_widths) }
             });
-            let signs: Vec<f64> = signs.collect();
-            let all = signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt();
+            let signs: Vec<Sign> = signs.collect();
+            let all = sum(signs.iter().map(Sign::whole));
+            let changed = self.lenient || self.refusals[group.reference].distrusted > 0;
+            let refused = all > MAX_UNUSUAL_SD && !(changed && look_alike(&signs));
             // With an edge before part of a band, errors are about so many times as large as the fit knows. Each view
             // gives two signs, residual and size; of the width, only what is no chance is in the sum.
-            fit.covariance *= 1.0 + (all * all - chance(2 * signs.len())).max(0.0);
-            if all > MAX_UNUSUAL_SD
-                && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
+            fit.covariance *= 1.0 + (all.min(MAX_UNUSUAL_SD).powi(2) - chance(2 * signs.len())).max(0.0);
+            if refused && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.whole().total_cmp(&b.1.whole()))
             {
                 let view = &fit.views[i];
                 let separation = separation::least(rig, encoding, group, views[i], &view.look.colours);
@@ -220,7 +272,7 @@ impl Judge {
             if !self.refusals[group.reference].accepted() {
                 continue;
             }
-            for ((Residual { view: v, rms, .. }, view), size) in residuals.iter().zip(&fit.views).zip(sizes) {
+            for ((Residual { view: v, rms, .. }, view), sizes) in residuals.iter().zip(&fit.views).zip(sizes) {
                 if !self.stays.is_at_rest() {
                     self.usual.add(group.reference, *v, *rms);
                 }
@@ -229,9 +281,7 @@ impl Judge {
                 for ((marker, _), width) in group.members.iter().zip(&view.widths) {
                     self.usual_widths.add(*marker, *v, width, half_px);
                 }
-                if let Some(size) = size {
-                    self.usual_size.add(group.reference, *v, size);
-                }
+                sizes.iter().for_each(|&(marker, size)| self.usual_size.add(marker, *v, size));
             }
             if views.iter().all(|v| self.usual.is_known(group.reference, *v)) {
                 group.members.iter().for_each(|(marker, _)| self.stretch[*marker] = group.reference);
@@ -290,6 +340,16 @@ mod tests {
             (marker.length_m, marker.centre_m) = (length_m, Some(centre_m));
         }
         assert_eq!(Judge::new(&rig).stretch, [0, 1, 1]);
+    }
+
+    #[test]
+    fn looks_that_change_in_all_views_are_told_from_what_is_in_front_of_one() {
+        let sign = |excess: f64, of_form: f64| Sign { of_residual: excess / 0.05, excess, of_form };
+        assert!(look_alike(&[sign(0.7, 0.0), sign(0.4, 1.0)]), "faster motion");
+        assert!(!look_alike(&[sign(0.9, 0.0), sign(0.2, 0.0)]), "a wire before one");
+        assert!(!look_alike(&[sign(1.5, 0.0), sign(0.7, 0.0)]), "motion, and a wire");
+        assert!(!look_alike(&[sign(0.4, 0.0), sign(0.4, 3.0)]), "half of it is hidden");
+        assert!(!look_alike(&[sign(0.4, 0.0)]), "one view cannot tell");
     }
 
     #[test]

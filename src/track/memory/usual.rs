@@ -24,7 +24,7 @@ const COMPARED_FRAMES: u32 = 30;
 /// ln of the factor by which all values may exceed what was learned in a recording without more noise.
 const SAME_NOISE: f64 = 0.1;
 /// Standard deviation of ln(residual) about what was learned.
-const LEARNED_SD: f64 = 0.12;
+pub(in crate::track) const LEARNED_SD: f64 = 0.12;
 /// Least standard deviation assumed: 5 % or less is chance.
 const MIN_SD: f64 = 0.05;
 /// Largest standard deviation that can be usual. (A swing in H.264 at crf 28 scatters by 0.18, all else by less.
@@ -157,6 +157,11 @@ impl Usual {
     pub(in crate::track) fn ratio(&self, marker: usize, view: usize, value: f64) -> f64 {
         let level = self.levels.get(marker, view);
         level.and_then(Level::usual).map_or(1.0, |(mean, _)| value / mean.exp())
+    }
+
+    /// ln of that factor, at least 0.
+    pub(in crate::track) fn excess(&self, marker: usize, view: usize, value: f64) -> f64 {
+        self.ratio(marker, view, value).ln().max(0.0)
     }
 
     /// By how many standard deviations a value exceeds the usual or learned one; `None` while neither is known.

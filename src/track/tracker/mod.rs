@@ -177,6 +177,14 @@ impl Tracker {
         })
     }
 
+    /// The same for learning the bands: how they look is not known yet, and may differ from frame to frame.
+    ///
+    /// # Errors
+    /// As [`Tracker::new`].
+    pub(crate) fn lenient(rig: &Rig) -> Result<Self, TrackError> {
+        Ok(Self { judge: Judge::lenient(rig), ..Self::new(rig, TrackOptions::default())? })
+    }
+
     /// The rig.
     pub fn rig(&self) -> &Rig {
         &self.rig
