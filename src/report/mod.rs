@@ -82,8 +82,10 @@ impl ReportSink {
 impl Sink for ReportSink {
     fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError> {
         self.course.add(estimate);
-        if let Some(picture) = picture {
-            self.moments.add(estimate, picture);
+        match picture {
+            Some(picture) => self.moments.add(estimate, picture),
+            // While the tracker works: the end waits for what is left to do.
+            None => page::prepare(),
         }
         Ok(())
     }

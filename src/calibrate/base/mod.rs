@@ -230,6 +230,9 @@ pub fn observe(rig: &Rig, source: &mut dyn FrameSource, mut progress: impl FnMut
             Err(error) => return Err(error.into()),
         };
         let estimate = tracker.step(&frame)?;
+        while let Some(warning) = tracker.warning() {
+            tracing::warn!("{warning}");
+        }
         observed.frames += 1;
         let [base_miss, tangent_miss] = &mut observed.first_miss;
         match estimate.markers.into_iter().next().map(|marker| marker.position) {

@@ -19,7 +19,6 @@ use crate::identify::estimate::initial_models::initial_models;
 use crate::identify::estimate::search::{Candidate, Criterion, best, search};
 use crate::identify::estimate::shortest_delay::{as_well, is_better, shortest};
 use crate::identify::estimate::{arx, instrumental, output_error};
-use crate::identify::model::continuous::Continuous;
 use crate::identify::model::covariance::Covariance;
 use crate::identify::model::modelled::{BodePoint, Modelled, Role, bandwidths};
 use crate::identify::model::polynomials::{Noise, Orders, Polynomials, angle};
@@ -73,24 +72,25 @@ pub(crate) fn identify_with_progress(
 /// # Errors
 /// Those of the first.
 fn taken_off(data: &Data, settings: &Settings) -> Result<Option<Data>, IdentifyError> {
-    let mut found = identify_held(data, &data.training, settings, &|_| {})?;
-    let orders = Settings { choice: settings.choice.of_orders(found.orders), ..settings.clone() };
+    let found = identify_held(data, &data.training, settings, &|_| {})?;
     let nyquist_hz = 0.5 / data.period_s;
     let excited_hz = found.spectrum.as_ref().map_or((0.0, nyquist_hz), |spectrum| spectrum.excited_hz);
-    let mut taken: Option<(Continuous, Data)> = None;
-    for _ in 0..MAX_PASSES {
-        let refined = found.models.iter().find(|model| model.role == Role::Refined);
-        let Some(own) = refined.and_then(|model| model.continuous.as_ref()).map(|own| own.model.clone()) else { break };
-        if let Some((last, without)) = taken.take()
-            && is_settled(&last, &own, excited_hz)
-        {
+    let mut orders = Settings { choice: settings.choice.of_orders(found.orders), ..settings.clone() };
+    let own = |found: &Identification| Some(found.model(Role::Refined)?.continuous.as_ref()?.model.clone());
+    let Some(mut last) = own(&found) else { return Ok(None) };
+    for pass in 1..=MAX_PASSES {
+        let Some(answer) = Answer::of(&last, data.period_s) else { break };
+        let without = answer.taken_off_all(data);
+        let Ok(found) = identify_held(&without, &data.training, &orders, &|_| {}) else { break };
+        let Some(next) = own(&found) else { break };
+        if is_settled(&last, &next, excited_hz) {
             return Ok(Some(without));
         }
-        let Some(answer) = Answer::of(&own, data.period_s) else { break };
-        let without = answer.taken_off_all(data);
-        let Ok(next) = identify_held(&without, &data.training, &orders, &|_| {}) else { break };
-        found = next;
-        taken = Some((own, without));
+        if let (2, Ok(refined)) = (pass, &found.refined) {
+            // Two delays that explain the data about as well must not alternate.
+            orders.choice = Choice::Fixed(Orders { nk: refined.estimated.model.nk, ..found.orders });
+        }
+        last = next;
     }
     Ok(None)
 }

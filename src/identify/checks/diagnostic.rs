@@ -422,8 +422,8 @@ impl fmt::Display for Diagnostic {
             }
             Self::BetweenSamples => f.write_str(
                 "the commands change between frames: a model of samples takes their means as held, and its gain is too \
-                 large, the more the faster they change; without a refined model that has an H(s) this is not \
-                 corrected",
+                 large, the more the faster they change; without a refined model whose H(s) settles this is not \
+                 corrected, and there is no σ",
             ),
             Self::StrangeRecord { title, record, error_percent } => write!(
                 f,

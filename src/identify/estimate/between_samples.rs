@@ -12,16 +12,20 @@ use crate::identify::model::polynomials::Polynomials;
 /// Most models whose answers are taken off, one after the other: each is found without what the one before told. The
 /// error of their gains falls to a sixth each time where commands reach up to the third part of half the sampling rate.
 pub(in crate::identify) const MAX_PASSES: usize = 12;
-/// Models agree whose responses differ by no more than this part.
-const SETTLED: f64 = 1e-5;
+/// Models agree whose responses differ by no more than this part of the largest: the next would differ by a sixth of
+/// that, and σ is rarely below a thousandth.
+const SETTLED: f64 = 1e-4;
 
 /// Whether the next model no longer differs from the one before in the frequencies between two, hertz.
 pub(in crate::identify) fn is_settled(last: &Continuous, next: &Continuous, (from_hz, to_hz): (f64, f64)) -> bool {
-    [0.0, 0.25, 0.5, 0.75, 1.0].iter().all(|part| {
+    let responses = [0.0, 0.25, 0.5, 0.75, 1.0].map(|part| {
         let hz = from_hz + part * (to_hz - from_hz);
-        let (last, next) = (last.response(hz), next.response(hz));
-        (next - last).norm() <= SETTLED * last.norm()
-    })
+        (last.response(hz), next.response(hz))
+    });
+    // An integrator has none at zero.
+    let known = || responses.iter().filter(|(last, next)| last.is_finite() && next.is_finite());
+    let largest = known().map(|(last, _)| last.norm()).fold(0.0, f64::max);
+    known().all(|(last, next)| (next - last).norm() <= SETTLED * largest)
 }
 
 /// Whether the input of some segment is known to change between samples.
@@ -72,6 +76,23 @@ mod tests {
     use crate::identify::model::polynomials::Orders;
     use crate::identify::tests::{noise, settings};
     use std::f64::consts::TAU;
+
+    #[test]
+    fn models_settle_when_their_responses_do() {
+        let model = |gain: f64, den: [f64; 3]| Continuous {
+            num: vec![gain],
+            den: den.to_vec(),
+            delay_s: 0.0,
+            conversion: Conversion::Hold,
+        };
+        let [slow, integrator] = [[1.0, 9.0, 120.0], [1.0, 9.0, 0.0]].map(|den| move |gain| model(gain, den));
+        for band_hz in [(0.0, 0.0), (0.1, 4.0)] {
+            assert!(is_settled(&slow(300.0), &slow(300.01), band_hz));
+            assert!(!is_settled(&slow(300.0), &slow(300.1), band_hz));
+        }
+        assert!(is_settled(&integrator(300.0), &integrator(300.01), (0.0, 4.0)));
+        assert!(!is_settled(&integrator(300.0), &integrator(300.1), (0.0, 4.0)));
+    }
 
     /// Commands that are held for 37/120 of the time between frames, 20 of which come in a second.
     #[test]

@@ -64,7 +64,7 @@ const BLOCKS: usize = 10;
 /// Systematic error of the method, in periods. Simulated over all phases between amplifier and camera: 0.2 % to 0.6 %
 /// of a period.
 const METHOD_ERROR: f64 = 0.005;
-/// The delay no longer changes with what is taken off between samples, in periods.
+/// The delay no longer changes with what is taken off between samples, in periods: a fiftieth of that error.
 const SETTLED: f64 = 1e-4;
 
 /// A delay between commands and output.
@@ -207,7 +207,7 @@ pub(crate) fn estimate(
     // 3. the same with what the commands do between samples, by the models found
     let changes = between_samples::is_in(&segments(best.at.timing, Inputs::Changing)?);
     let mut answer = None;
-    for _ in 0..if changes { MAX_PASSES } else { 0 } {
+    for pass in 0..if changes { MAX_PASSES } else { 0 } {
         let own = Continuous::of(&best.at.model, period_s).and_then(|model| Answer::of(&model, period_s));
         let Some(own) = own else { break };
         let without = |timing| without(&segments, timing, &own);
@@ -216,7 +216,7 @@ pub(crate) fn estimate(
         let moved_s = (delay_of(&next) - delay_of(&best)).abs();
         best = next;
         answer = Some(own);
-        if moved_s < SETTLED * period_s {
+        if pass > 0 && moved_s < SETTLED * period_s {
             break;
         }
     }

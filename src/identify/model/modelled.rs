@@ -159,6 +159,7 @@ impl Modelled {
     pub(in crate::identify) fn forget_sigma(&mut self) {
         self.covariance = None;
         self.bode.iter_mut().for_each(|point| point.sd = None);
+        self.bandwidths.iter_mut().for_each(|estimate| estimate.interval_hz = None);
         if let Some(continuous) = &mut self.continuous {
             continuous.standard_errors = None;
         }

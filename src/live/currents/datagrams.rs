@@ -12,6 +12,8 @@ use std::time::Duration;
 pub(super) struct Datagrams {
     socket: UdpSocket,
     clock: HostClock,
+    /// Arrival of the last one.
+    last_ns: i64,
 }
 
 /// What was received.
@@ -30,20 +32,22 @@ impl Datagrams {
     pub(super) fn open(address: SocketAddr, timeout: Duration, clock: HostClock) -> io::Result<Self> {
         let socket = UdpSocket::bind(address)?;
         socket.set_read_timeout(Some(timeout))?;
+        // A system without them gives none.
         #[cfg(target_os = "linux")]
-        nix::sys::socket::setsockopt(&socket, nix::sys::socket::sockopt::ReceiveTimestampns, &true)?;
-        Ok(Self { socket, clock })
+        let _ = nix::sys::socket::setsockopt(&socket, nix::sys::socket::sockopt::ReceiveTimestampns, &true);
+        Ok(Self { socket, clock, last_ns: clock.now_ns() })
     }
 
     /// The next one.
     ///
     /// # Errors
     /// When there is none in time, or the socket fails.
-    pub(super) fn next<'a>(&self, buffer: &'a mut [u8]) -> io::Result<Datagram<'a>> {
+    pub(super) fn next<'a>(&mut self, buffer: &'a mut [u8]) -> io::Result<Datagram<'a>> {
         let (length, sender, waited) = self.receive(buffer)?;
-        // What waited since before the clock was set came at that time at the latest.
         let waited_ns = i64::try_from(waited.as_nanos()).unwrap_or(i64::MAX);
-        let arrival_ns = self.clock.now_ns().saturating_sub(waited_ns).max(self.clock.started_ns());
+        // None came before the last one: the time of day was set forward while this one waited.
+        let arrival_ns = self.clock.now_ns().saturating_sub(waited_ns).max(self.last_ns);
+        self.last_ns = arrival_ns;
         Ok(Datagram { bytes: buffer.get(..length).unwrap_or_default(), sender, arrival_ns })
     }
 
@@ -59,9 +63,11 @@ impl Datagrams {
         let mut parts = [io::IoSliceMut::new(buffer)];
         let message =
             recvmsg::<SockaddrStorage>(self.socket.as_raw_fd(), &mut parts, Some(&mut control), MsgFlags::empty())?;
-        let stamp = message.cmsgs()?.find_map(|control| match control {
-            ControlMessageOwned::ScmTimestampns(since_1970) => Some(Duration::from(since_1970)),
-            _ => None,
+        let stamp = message.cmsgs().ok().and_then(|mut controls| {
+            controls.find_map(|control| match control {
+                ControlMessageOwned::ScmTimestampns(since_1970) => Some(Duration::from(since_1970)),
+                _ => None,
+            })
         });
         // By the computer's time of day; if that was set back meanwhile, nothing is known.
         let came = stamp.and_then(|stamp| SystemTime::UNIX_EPOCH.checked_add(stamp));
@@ -92,25 +98,34 @@ mod tests {
     fn one_that_waited_has_the_time_at_which_it_came() {
         for here in ["127.0.0.1:0", "[::1]:0"] {
             let clock = HostClock::start();
-            let here = here.parse().unwrap();
-            let datagrams = Datagrams::open(here, Duration::from_secs(10), clock).unwrap();
-            let sender = UdpSocket::bind(here).unwrap();
+            let Ok(sender) = UdpSocket::bind(here) else { continue };
+            let mut datagrams = Datagrams::open(here.parse().unwrap(), Duration::from_secs(10), clock).unwrap();
+            let to = datagrams.socket.local_addr().unwrap();
+            // The system begins to stamp a moment after it was told to.
+            std::thread::sleep(Duration::from_millis(200));
             let before_ns = clock.now_ns();
-            sender.send_to(b"0.1", datagrams.socket.local_addr().unwrap()).unwrap();
+            sender.send_to(b"0.1", to).unwrap();
             let after_ns = clock.now_ns();
             std::thread::sleep(Duration::from_millis(300));
+            sender.send_to(b"0.2", to).unwrap();
             let mut buffer = [0; 16];
             let datagram = datagrams.next(&mut buffer).unwrap();
             assert_eq!((datagram.bytes, datagram.sender), (b"0.1".as_slice(), sender.local_addr().unwrap()));
             // Two clocks are read one after the other.
             let came = before_ns - 50 * MS..after_ns + 50 * MS;
             assert!(came.contains(&datagram.arrival_ns), "{} of {came:?}", datagram.arrival_ns);
+            let first_ns = datagram.arrival_ns;
+            assert!(datagrams.next(&mut buffer).unwrap().arrival_ns - first_ns > 250 * MS);
+            // Whatever its stamp, none comes before the last.
+            datagrams.last_ns = i64::MAX - 1;
+            sender.send_to(b"0.3", to).unwrap();
+            assert_eq!(datagrams.next(&mut buffer).unwrap().arrival_ns, i64::MAX - 1);
         }
     }
 
     #[test]
     fn silence_ends_at_the_time_limit() {
-        let datagrams =
+        let mut datagrams =
             Datagrams::open(([127, 0, 0, 1], 0).into(), Duration::from_millis(20), HostClock::start()).unwrap();
         let kind = datagrams.next(&mut [0; 16]).err().unwrap().kind();
         assert!(matches!(kind, io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut), "{kind}");

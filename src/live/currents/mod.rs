@@ -153,8 +153,8 @@ impl CurrentSource {
         let stop = Arc::clone(stop);
         let receive: Box<dyn FnOnce() + Send> = match self {
             Self::Udp(address) => {
-                let datagrams = Datagrams::open(*address, STOP_POLL_INTERVAL, clock)?;
-                Box::new(move || parser.datagrams(&datagrams, &stop))
+                let mut datagrams = Datagrams::open(*address, STOP_POLL_INTERVAL, clock)?;
+                Box::new(move || parser.datagrams(&mut datagrams, &stop))
             }
             Self::Serial(device, baud) => {
                 let line = serial(device, *baud)?;

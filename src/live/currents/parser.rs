@@ -107,7 +107,7 @@ impl Parser {
         Ok(reader)
     }
 
-    pub(super) fn datagrams(&mut self, from: &Datagrams, stop: &AtomicBool) {
+    pub(super) fn datagrams(&mut self, from: &mut Datagrams, stop: &AtomicBool) {
         let mut buffer = [0; 65_536];
         while !stop.load(Ordering::Relaxed) {
             match from.next(&mut buffer) {

@@ -65,6 +65,13 @@ impl Level {
         self.learned.filter(|_| counts).map(|learned| learned + common)
     }
 
+    /// Mean and scatter that values are judged by, in a recording in which all exceed what was learned by `common`: of
+    /// what was seen, else of what was learned, else of few frames.
+    fn in_force(&self, common: f64) -> Option<(f64, f64)> {
+        let taught = || Some((self.taught(common)?, LEARNED_SD));
+        self.seen().or_else(taught).or_else(|| self.soon())
+    }
+
     /// What is known of enough frames, or what was learned, as if it scattered by chance alone.
     fn usual(&self) -> Option<(f64, f64)> {
         self.seen().or(self.learned.map(|learned| (learned, MIN_SD)))
@@ -102,27 +109,31 @@ impl Usual {
     /// learned by `common`; 0 below it, and while too little is known.
     pub(in crate::track) fn above(&mut self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
         let Some(level) = self.levels.get_mut(marker, view) else { return 0.0 };
-        let (mean, sd) = if let Some(seen) = level.seen() {
-            seen
-        } else if let Some(taught) = level.taught(common) {
-            if value.ln() > taught + HELD_SD * LEARNED_SD {
-                level.compared = level.compared.saturating_add(1);
-            }
-            (taught, LEARNED_SD)
-        } else if let Some(soon) = level.soon() {
-            soon
-        } else {
-            return 0.0;
-        };
+        let Some((mean, sd)) = level.in_force(common) else { return 0.0 };
+        let taught = level.taught(common).filter(|_| level.seen().is_none());
+        if taught.is_some_and(|taught| value.ln() > taught + HELD_SD * LEARNED_SD) {
+            level.compared = level.compared.saturating_add(1);
+        }
         ((value.ln() - mean) / sd).max(0.0)
     }
 
     /// The same by what is known of another marker that looks about alike; 0 if too little is.
     pub(in crate::track) fn above_alike(&self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
         let Some(level) = self.levels.get(marker, view) else { return 0.0 };
-        let taught = || Some((level.taught(common)?, LEARNED_SD));
-        let known = level.seen().or_else(taught).or_else(|| level.soon());
-        known.map_or(0.0, |(mean, sd)| ((value.ln() - mean) / sd.max(LEARNED_SD)).max(0.0))
+        level.in_force(common).map_or(0.0, |(mean, sd)| ((value.ln() - mean) / sd.max(LEARNED_SD)).max(0.0))
+    }
+
+    /// Standard deviations by which a value exceeds what was seen, negative below it; `None` while too little is known.
+    pub(in crate::track) fn off(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
+        let level = self.levels.get(marker, view)?;
+        let (mean, sd) = level.seen().or_else(|| level.soon())?;
+        Some((value.ln() - mean) / sd)
+    }
+
+    /// ln of the factor by which a value exceeds what it is judged by, at least 0; `None` while too little is known.
+    pub(in crate::track) fn excess(&self, marker: usize, view: usize, value: f64, common: f64) -> Option<f64> {
+        let (mean, _) = self.levels.get(marker, view)?.in_force(common)?;
+        Some((value.ln() - mean).max(0.0))
     }
 
     /// ln of the factor by which a value differs from what was seen, once enough was.
@@ -157,11 +168,6 @@ impl Usual {
     pub(in crate::track) fn ratio(&self, marker: usize, view: usize, value: f64) -> f64 {
         let level = self.levels.get(marker, view);
         level.and_then(Level::usual).map_or(1.0, |(mean, _)| value / mean.exp())
-    }
-
-    /// ln of that factor, at least 0.
-    pub(in crate::track) fn excess(&self, marker: usize, view: usize, value: f64) -> f64 {
-        self.ratio(marker, view, value).ln().max(0.0)
     }
 
     /// By how many standard deviations a value exceeds the usual or learned one; `None` while neither is known.
@@ -251,7 +257,9 @@ mod tests {
         let mut usual = Usual::new(&fixture::rig());
         (0..2).for_each(|_| usual.add(1, 0, 4.0));
         assert!(usual.above(1, 0, 12.0, 0.0) < 1e-12, "two frames are too few");
+        assert_eq!(usual.excess(1, 0, 12.0, 0.0), None);
         usual.add(1, 0, 4.0);
+        assert!(usual.excess(1, 0, 12.0, 0.0).is_some_and(|excess| (excess - 3_f64.ln()).abs() < 1e-9));
         assert!(usual.above(1, 0, 12.0, 0.0) > 4.5 && usual.above_alike(1, 0, 12.0, 0.0) > 4.5);
         assert!(usual.above(1, 0, 5.0, 0.0) < 2.0 && usual.values(1).is_none());
         usual.forget();

@@ -100,7 +100,8 @@ pub struct Tracker {
     before: Vec<Option<Last>>,
     motion: Motion,
     focus: Focus,
-    /// In how many of the last frames the coil was refused for its looks; `None` before it was ever seen.
+    /// In how many of the last frames the coil looked otherwise than before, refused for it or not; `None` before it
+    /// was ever seen.
     poor_in_a_row: Option<u32>,
     blending: Blending,
     denoised: Denoised,
@@ -286,6 +287,9 @@ impl Tracker {
         let coil = estimate.markers.get(self.rig.catheter.coil);
         self.poor_in_a_row = match coil.map(|coil| &coil.position) {
             Some(Err(Miss::PoorFit { .. })) => self.poor_in_a_row.map(|frames| frames.saturating_add(1)),
+            Some(Ok(_)) if self.judge.looked_otherwise(self.rig.catheter.coil) => {
+                self.poor_in_a_row.map(|frames| frames.saturating_add(1))
+            }
             Some(Ok(_)) => Some(0),
             _ => self.poor_in_a_row.and(Some(0)),
         };
