@@ -73,8 +73,7 @@ pub(crate) fn identify_with_progress(
 /// Those of the first.
 fn taken_off(data: &Data, settings: &Settings) -> Result<Option<Data>, IdentifyError> {
     let found = identify_held(data, &data.training, settings, &|_| {})?;
-    let nyquist_hz = 0.5 / data.period_s;
-    let excited_hz = found.spectrum.as_ref().map_or((0.0, nyquist_hz), |spectrum| spectrum.excited_hz);
+    let excited_hz = excited_hz(found.spectrum.as_ref(), data.period_s);
     let mut orders = Settings { choice: settings.choice.of_orders(found.orders), ..settings.clone() };
     let own = |found: &Identification| Some(found.model(Role::Refined)?.continuous.as_ref()?.model.clone());
     let Some(mut last) = own(&found) else { return Ok(None) };
@@ -120,8 +119,7 @@ fn identify_held(
     let (orders, arx, full) = fit_full(&training, &candidates, criterion, best, settings.estimator)?;
     let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
     let spectrum = spectrum(&training, data.period_s);
-    let nyquist_hz = 0.5 / data.period_s;
-    let excited_hz = spectrum.as_ref().map_or((0.0, nyquist_hz), |s| s.excited_hz);
+    let excited_hz = excited_hz(spectrum.as_ref(), data.period_s);
     let excited = (angle(excited_hz.0, data.period_s), angle(excited_hz.1, data.period_s));
     let modelled = |role, title, model: &Polynomials, covariance| {
         Modelled::new(role, title, model.clone(), covariance, data.period_s, excited_hz)
@@ -226,6 +224,11 @@ fn identify_held(
     };
     done.diagnostics = diagnostics(data, &done, settings);
     Ok(done)
+}
+
+/// The frequencies that inputs excite, hertz: all, where that is not known.
+fn excited_hz(spectrum: Option<&Spectrum>, period_s: f64) -> (f64, f64) {
+    spectrum.map_or((0.0, 0.5 / period_s), |spectrum| spectrum.excited_hz)
 }
 
 /// Orders and delay, and the candidates they were chosen from.

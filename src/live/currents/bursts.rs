@@ -1,7 +1,8 @@
 //! Whether samples of currents that have no times of their own arrive in bursts.
 //!
 //! Such a sample gets the time of its arrival. If the sender, the network or, but for datagrams on Linux, this program
-//! stood still, those that waited arrive together, about as many as should have come meanwhile, and all but the last are late.
+//! stood still, those that waited arrive together, about as many as should have come meanwhile, and all but the last
+//! are late.
 
 use crate::median::median;
 use crate::source::times::seconds;

@@ -22,8 +22,8 @@ const MAX_UNUSUAL_SD: f64 = 4.5;
 /// Cap on the size's part: alone it is no evidence, as it also changes with light and motion.
 const MAX_SIZE_TERM: f64 = 3.0;
 /// Where looks have changed in all views of a band alike: the least excess of residuals, as a part of the largest (0.35
-/// and more in H.264 when a swing becomes faster, 0.05 to 0.25 while a wire passes before one view); and how unusual the
-/// size of what is seen may be (a post that hid two thirds of a coil gave 3).
+/// and more in H.264 when a swing becomes faster, 0.05 to 0.25 while a wire passes before one view); and how unusual
+/// the size of what is seen may be (a post that hid two thirds of a coil gave 3).
 const ALIKE: f64 = 1.0 / 3.0;
 const WHOLE_SD: f64 = 2.0;
 /// How unusual the sizes of all bands in all views may be together: what covers the ends of two bands hides a little of
@@ -58,8 +58,7 @@ pub(in crate::track) struct Judge {
     first_colours: FirstColours,
     noisier: Noisier,
     /// Ratio of a band's expected size to its blob's: of the reference of a stretch, and of the bands beside it.
-    usual_size: Usual,
-    size_beside: Usual,
+    usual_sizes: [Usual; 2],
     /// Widths of each band in each view.
     usual_widths: UsualWidths,
     /// For each marker, the reference of the stretch that it was last part of and whose residuals are known; at first,
@@ -140,8 +139,8 @@ fn sum(signs: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Whether all views look otherwise than before, and about equally so: then the pictures have changed, as a coder's do
-/// in faster motion. What is in front of a band hides it in one view. (What clings to it, or is before both views, cannot
-/// be told from that.)
+/// in faster motion. What is in front of a band hides it in one view. (What clings to it, or is before both views,
+/// cannot be told from that.)
 fn look_alike(signs: &[Sign]) -> bool {
     let excesses: Option<Vec<f64>> = signs.iter().map(|sign| sign.excess).collect();
     let Some(excesses) = excesses.filter(|excesses| excesses.len() > 1) else { return false };
@@ -183,8 +182,7 @@ impl Judge {
             stays: Stays::new(rig),
             first_colours: FirstColours::new(rig),
             noisier: Noisier::default(),
-            usual_size: Usual::new(rig),
-            size_beside: Usual::new(rig),
+            usual_sizes: [Usual::new(rig), Usual::new(rig)],
             usual_widths: UsualWidths::new(rig),
             stretch: whole_stretches(rig),
             refusals: vec![Refusals::default(); rig.markers.len()],
@@ -262,14 +260,12 @@ impl Judge {
             let signs = residuals.iter().zip(&fit.views).zip(&sizes);
             let signs = signs.map(|((&Residual { alike, view: v, rms }, view), sizes)| {
                 let smaller = sizes.iter().filter_map(|&(marker, size)| {
-                    let of_reference = marker == group.reference;
-                    let usual = if of_reference { &self.usual_size } else { &self.size_beside };
-                    Some((of_reference, usual.off(marker, v, size)?))
+                    let beside = usize::from(marker != group.reference);
+                    Some((beside, self.usual_sizes[beside].off_sd(marker, v, size)?))
                 });
-                let smaller: Vec<(bool, f64)> = smaller.collect();
+                let smaller: Vec<(usize, f64)> = smaller.collect();
                 // The more bands, the larger is the largest by chance.
-                let by_chance = |of_reference: bool| if of_reference { 0.0 } else { CHANCE_SD };
-                let of_sizes = smaller.iter().map(|&(of_reference, off)| off - by_chance(of_reference));
+                let of_sizes = smaller.iter().map(|&(beside, off)| off - [0.0, CHANCE_SD][beside]);
                 let of_size = of_sizes.fold(0.0, f64::max).min(MAX_SIZE_TERM);
                 let smaller = smaller.into_iter().map(|(_, off)| off).collect();
                 let half_px = view.image.at_arc(0.0).half_width;
@@ -322,8 +318,7 @@ impl Judge {
                     self.usual_widths.add(*marker, *v, width, half_px);
                 }
                 for (marker, size) in sizes {
-                    let of_band = if marker == group.reference { &mut self.usual_size } else { &mut self.size_beside };
-                    of_band.add(marker, *v, size);
+                    self.usual_sizes[usize::from(marker != group.reference)].add(marker, *v, size);
                 }
             }
             if views.iter().all(|v| self.usual.is_known(group.reference, *v)) {

@@ -117,23 +117,27 @@ impl Usual {
         ((value.ln() - mean) / sd).max(0.0)
     }
 
-    /// The same by what is known of another marker that looks about alike; 0 if too little is.
-    pub(in crate::track) fn above_alike(&self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
-        let Some(level) = self.levels.get(marker, view) else { return 0.0 };
-        level.in_force(common).map_or(0.0, |(mean, sd)| ((value.ln() - mean) / sd.max(LEARNED_SD)).max(0.0))
+    /// ln of the factor by which a value differs from what it is judged by, and the scatter of that; `None` while too
+    /// little is known.
+    fn off(&self, marker: usize, view: usize, value: f64, common: f64) -> Option<(f64, f64)> {
+        let (mean, sd) = self.levels.get(marker, view)?.in_force(common)?;
+        Some((value.ln() - mean, sd))
     }
 
-    /// Standard deviations by which a value exceeds what was seen, negative below it; `None` while too little is known.
-    pub(in crate::track) fn off(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
-        let level = self.levels.get(marker, view)?;
-        let (mean, sd) = level.seen().or_else(|| level.soon())?;
-        Some((value.ln() - mean) / sd)
+    /// The same by what is known of another marker that looks about alike; 0 if too little is.
+    pub(in crate::track) fn above_alike(&self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
+        let off = self.off(marker, view, value, common);
+        off.map_or(0.0, |(off, sd)| (off / sd.max(LEARNED_SD)).max(0.0))
+    }
+
+    /// Standard deviations by which a value exceeds the usual one, negative below it; `None` while too little is known.
+    pub(in crate::track) fn off_sd(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
+        self.off(marker, view, value, 0.0).map(|(off, sd)| off / sd)
     }
 
     /// ln of the factor by which a value exceeds what it is judged by, at least 0; `None` while too little is known.
     pub(in crate::track) fn excess(&self, marker: usize, view: usize, value: f64, common: f64) -> Option<f64> {
-        let (mean, _) = self.levels.get(marker, view)?.in_force(common)?;
-        Some((value.ln() - mean).max(0.0))
+        self.off(marker, view, value, common).map(|(off, _)| off.max(0.0))
     }
 
     /// ln of the factor by which a value differs from what was seen, once enough was.

@@ -40,8 +40,8 @@ pub(super) const OUT_OF_ORDER: &str = "two of the last ten pictures, or more, ar
      bands move: rows there are wrong, and σ does not cover that; only the first such place is named: restore the \
      order, or leave these pictures out";
 pub(super) const LOOKS_OTHERWISE: &str = "for the last 30 frames the coil's band has not looked as it did before, and \
-     was refused as `poor_fit` or has a larger σ: focus, light or coding have changed, or something is in front of it. If it stays so, \
-     track what follows as a recording of its own (--from), with bands taught on it";
+     was refused as `poor_fit` or has a larger σ: focus, light or coding have changed, or something is in front of it. \
+     If it stays so, track what follows as a recording of its own (--from), with bands taught on it";
 /// After the number of the frame.
 pub(super) const FOREIGN: &str = " shows the bands where those before and after it do not lead: it is of \
      another time (an old one that a buffer gave once more), or a band is taken for another thing in it; what its row \
