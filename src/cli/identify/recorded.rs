@@ -13,6 +13,7 @@ use crate::identify::data::prepare::{Detrend, Trend};
 use crate::identify::estimate::clock_delay::{self, Delay, Drift, Inputs, Timing};
 use crate::identify::estimate::unknown_zero::Zero;
 use crate::identify::results::provenance::RecordSummary;
+use crate::median::upper_median;
 use crate::series::Recording;
 use std::path::Path;
 
@@ -45,7 +46,11 @@ pub(super) fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Op
     };
     let zero = apparent.as_ref().and_then(|delay| delay.zero).filter(|_| args.detrend() == Detrend::None);
     if let Some(zero) = zero.filter(Zero::is_off) {
-        take_off(&mut observed, zero, &name);
+        let sd_rad = upper_median(recording.frames.iter().filter_map(|frame| frame.theta_sd_rad));
+        if sd_rad.is_none_or(|sd_rad| zero.offset.abs() > sd_rad) {
+            warn_of_zero(zero, &name);
+        }
+        observed.theta_rad.iter_mut().flatten().for_each(|theta| *theta -= zero.offset);
     }
     let series = observed.series(&held, plant, delay_s).map_err(Failure::usage)?;
     let mut series = Series { fit_zero: args.fits_zero(), ..series };
@@ -158,8 +163,8 @@ fn warn_of_delay(args: &Args, name: &str, apparent: &Delay, taken_s: f64, record
     }
 }
 
-/// Takes the zero's error off θ, and tells it.
-fn take_off(observed: &mut Observed, zero: Zero, name: &str) {
+/// Tells an error of the zero that σ of θ does not explain.
+fn warn_of_zero(zero: Zero, name: &str) {
     tracing::warn!(
         "{name}: the zero of θ is off by {:.3} ± {:.3}°, by a model of second order: a wrong base frame, a \
          catheter that does not hang straight, or an offset of the currents? It is taken off, which does not help \
@@ -167,7 +172,6 @@ fn take_off(observed: &mut Observed, zero: Zero, name: &str) {
         zero.offset.to_degrees(),
         zero.sd.to_degrees()
     );
-    observed.theta_rad.iter_mut().flatten().for_each(|theta| *theta -= zero.offset);
 }
 
 /// Tells that the clock of the currents drifts; with `--delay auto` the commands are moved to the camera's clock.

@@ -216,11 +216,14 @@ impl Observed {
     pub(crate) fn add_within(&self, series: &mut Series, commands: &Held, delay_s: f64) -> f64 {
         let beyond = |(from, to): (f64, f64)| {
             let part_s = (to - from) / PARTS as f64;
-            let mean_of = |from, to| commands.mean_from_rest(from, to);
-            let Some(mean) = mean_of(from - delay_s, to - delay_s) else { return [0.0; PARTS] };
+            let begin = commands.integral_from_rest(from - delay_s);
+            let mean = (commands.integral_from_rest(to - delay_s) - begin) / (to - from);
+            let mut before = begin;
             std::array::from_fn(|i| {
-                let begin = from - delay_s + i as f64 * part_s;
-                mean_of(begin, begin + part_s).unwrap_or(0.0) - mean
+                let here = commands.integral_from_rest(from - delay_s + (i + 1) as f64 * part_s);
+                let in_part = (here - before) / part_s;
+                before = here;
+                in_part - mean
             })
         };
         let times = series.time_s.iter().copied();

@@ -225,6 +225,11 @@ impl Held {
         self.mean(from_s, to_s).or_else(|| Some(self.integral_to(to_s)? / (to_s - from_s)))
     }
 
+    /// Integral from the first command, before which it is zero.
+    pub(in crate::identify) fn integral_from_rest(&self, t: f64) -> f64 {
+        self.integral_to(t).unwrap_or(0.0)
+    }
+
     fn integral_to(&self, t: f64) -> Option<f64> {
         let k = self.time_s.partition_point(|s| *s <= t).checked_sub(1)?;
         Some(self.integral[k] + held_for(self.value[k], t - self.time_s[k]))

@@ -3,8 +3,9 @@
 //! A segment ends where the input is unknown. An output that was not observed is NaN: whatever needs it is left out,
 //! but simulations run through it.
 
-/// Parts of the time of a sample in which its input may differ.
-pub(crate) const PARTS: usize = 8;
+/// Parts of the time of a sample in which its input may differ. In each it counts by its mean, so that errors fall with
+/// the square of this number: 8 leave up to 0.14 % of the gain of a plant of a tenth of the sampling rate.
+pub(crate) const PARTS: usize = 24;
 
 /// A segment of evenly sampled input without holes, and its output.
 #[derive(Debug, Clone, PartialEq, Default)]
