@@ -3,6 +3,7 @@
 
 use crate::calibrate::markers::compared::{Compared, MIN_GAIN_SDS, PARTS, clipped};
 use crate::calibrate::markers::line_search::minimise;
+use crate::calibrate::markers::locate::candidates::px_per_m;
 use crate::calibrate::markers::{MarkersError, motion_blur, track, view_blurs};
 use crate::estimate::Estimate;
 use crate::rig::{Camera, Marker, Rig};
@@ -51,8 +52,6 @@ const LENGTHS: (f64, f64) = (0.74, 1.36);
 /// A search that ends further from where it began than this part of the length is repeated from there; most searches.
 const LENGTH_SETTLED: f64 = 0.01;
 const MOST_SEARCHES: usize = 4;
-/// Least σ of a distance that was fitted, metres.
-const MIN_FITTED_SD_M: f64 = 0.01e-3;
 
 /// Finds places along the tube that the rig lacks, from those that it has, or else from the outer edge of the first
 /// band; returns the σ of each band's distance from the one before, metres; `None` where it was known or is not found.
@@ -63,7 +62,8 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
     if rig.markers.iter().all(|m| m.centre_m.is_some()) {
         return Ok(sd_m);
     }
-    let estimates = track(rig, frames)?;
+    let (tracker, estimates) = track(rig, frames)?;
+    let along_px = frames.first().map_or(0.0, |frame| tracker.lasting_error(&frame.picture).along_px);
     let coil = rig.catheter.coil;
     let known: Vec<bool> = rig.markers.iter().map(|m| m.centre_m.is_some()).collect();
     let first = known.iter().position(|known| *known).unwrap_or_else(|| {
@@ -104,7 +104,7 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
             shifted
         };
         if let Some((mean, sd)) = determined(rig, &some, start, 0.2e-3, (start * 0.9, start * 1.1), shifted) {
-            sd_m[m] = Some(sd.max(MIN_FITTED_SD_M));
+            sd_m[m] = Some(sd.hypot(seen_off_m(rig, &estimates, m, along_px)));
             *rig = shifted(mean);
         }
     }
@@ -124,6 +124,19 @@ fn places_sd_m(estimates: &[Estimate], m: usize) -> f64 {
         })
         .collect();
     (variances.iter().sum::<f64>() / variances.len().max(1) as f64).sqrt()
+}
+
+/// σ of the distance of a marker from the one before it that all frames have in common, metres: each view shows each
+/// band off along the tube by so many pixels, independently of the others.
+fn seen_off_m(rig: &Rig, estimates: &[Estimate], m: usize, along_px: f64) -> f64 {
+    let of_band = |m: usize| {
+        let point = estimates.iter().find_map(|e| Some(e.markers.get(m)?.position.as_ref().ok()?.point))?;
+        let m_per_px: Vec<f64> = rig.views.iter().filter_map(|view| Some(1.0 / px_per_m(view, &point)?)).collect();
+        // Views count alike.
+        let sum = m_per_px.iter().map(|m_per_px| m_per_px.powi(2)).sum::<f64>();
+        (!m_per_px.is_empty()).then(|| sum / (m_per_px.len() as f64).powi(2))
+    };
+    along_px * [m - 1, m].iter().filter_map(|m| of_band(*m)).sum::<f64>().sqrt()
 }
 
 /// Circular arc between a marker and the one before it, and chord · ψ², metres.

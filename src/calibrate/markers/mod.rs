@@ -188,8 +188,7 @@ impl Teaching {
         if let Ok(views) = learn_everywhere(rig, frames) {
             self.views = views;
         }
-        let mut tracker = Tracker::lenient(rig)?;
-        let estimates = frames.iter().map(|frame| tracker.step(frame)).collect::<Result<Vec<_>, _>>()?;
+        let (tracker, estimates) = track(rig, frames)?;
         for (m, marker) in rig.markers.iter_mut().enumerate() {
             marker.usual_residuals = tracker.usual_residuals(m);
         }
@@ -281,9 +280,11 @@ impl Teaching {
     }
 }
 
-fn track(rig: &Rig, frames: &[Frame]) -> Result<Vec<Estimate>, MarkersError> {
+/// What all frames show, and the tracker that has seen them.
+fn track(rig: &Rig, frames: &[Frame]) -> Result<(Tracker, Vec<Estimate>), MarkersError> {
     let mut tracker = Tracker::lenient(rig)?;
-    Ok(frames.iter().map(|frame| tracker.step(frame)).collect::<Result<_, _>>()?)
+    let estimates = frames.iter().map(|frame| tracker.step(frame)).collect::<Result<_, _>>()?;
+    Ok((tracker, estimates))
 }
 
 /// Colours of all bands in all views of all frames.
@@ -291,7 +292,7 @@ fn learn_everywhere(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<ViewColours>,
     let views = rig.views.clone();
     let names: Vec<String> = rig.markers.iter().map(|m| m.name.clone()).collect();
     let mut samples: Vec<Samples<'_>> = views.iter().map(|view| Samples::new(view, names.clone())).collect();
-    for (estimate, frame) in track(rig, frames)?.iter().zip(frames) {
+    for (estimate, frame) in track(rig, frames)?.1.iter().zip(frames) {
         for (v, samples) in samples.iter_mut().enumerate() {
             // A marker at an unknown place would teach that its band is background.
             let places: Option<Vec<_>> =

@@ -120,7 +120,8 @@ impl Search<'_> {
                 // One pixel per step.
                 step = step.min(1.0 / (seen.d_pixel * ray.direction).norm().max(1.0));
                 let clicked = near.iter().find(|near| near.view == v).map(|near| near.pixel);
-                if let Some(best) = best_beside(others, matched, &seen.pixel, clicked) {
+                let best = best_beside(others, matched, &seen.pixel, clicked);
+                if let Some(best) = best.filter(|best| !matches.iter().flatten().any(|one| is_one_image(one, best))) {
                     score += best.score;
                     matches[v] = Some(best);
                 }
@@ -192,6 +193,12 @@ fn away(matched: &BandMatch, pixel: &Point2<f64>) -> f64 {
     let along = (off.dot(&matched.axis).abs() - matched.size.length / 2.0).max(0.0);
     let across = ((matched.axis.x * off.y - matched.axis.y * off.x).abs() - matched.size.width / 2.0).max(0.0);
     along.hypot(across)
+}
+
+/// Whether two views would show the band by the same image, as they show what touches the mirror: it is most like
+/// itself, and a tube is never in a mirror.
+fn is_one_image(a: &BandMatch, b: &BandMatch) -> bool {
+    (a.centre - b.centre).norm() < a.size.width.max(b.size.width)
 }
 
 /// The match near a pixel that is most similar to `matched`.
