@@ -114,6 +114,13 @@ fn boards_calibrate_to_the_rig_they_were_drawn_with() {
         good(&catoptra(folder.path(), &[&["calibrate", verb], &pictures[..], &board, more].concat()))
     };
     run("camera", &air, &["--out", "rig.toml"]);
+    let doubted = |pictures: &[String]| {
+        let pictures: Vec<&str> = pictures.iter().map(String::as_str).collect();
+        let args = [&["calibrate", "camera"], &pictures[..], &board, &["--out", "other.toml"]].concat();
+        let output = catoptra(folder.path(), &args);
+        String::from_utf8_lossy(&output.stderr).contains("show the board twice")
+    };
+    assert!(doubted(&tank) && !doubted(&air));
     let known = ["--tank", "254x254x267mm", "--glass", "5mm", "--distance", "front_wall=1264mm:2mm"];
     run("rig", &tank, &[&["--rig", "rig.toml"], &known[..]].concat());
     let truth = Rig::load(&sample_rig()).unwrap();
@@ -147,6 +154,8 @@ fn poses_of_a_tracked_run_are_rendered_again() {
     good(&simulate(folder.path(), &sample_rig(), &again));
     let (_, worst_m, count) = compared(&folder.path().join("first/truth.csv"), &folder.path().join("second/truth.csv"));
     assert!(worst_m < 1e-8 || count == 0, "{worst_m} m");
+    let rate = simulate(folder.path(), &sample_rig(), &[&again[..4], &["--fps", "10", "-o", "third"]].concat());
+    refused(&rate, "--fps: a tracked run is simulated at its own times");
     // Time that does not rise is refused.
     let text = fs::read_to_string(folder.path().join("first/truth.csv")).unwrap();
     let mut lines: Vec<&str> = text.lines().collect();
@@ -154,6 +163,30 @@ fn poses_of_a_tracked_run_are_rendered_again() {
     fs::write(folder.path().join("swapped.csv"), lines.join("\r\n") + "\r\n").unwrap();
     let output = simulate(folder.path(), &sample_rig(), &["--motion", "swapped.csv", "-o", "third"]);
     assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Times of a clock begin with the first row; those from a start may not begin before it.
+#[test]
+fn currents_with_times_of_a_clock_move_the_catheter() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = |name: &str, head: &str, times: [&str; 2]| {
+        let text = format!("{head},x_a,y_a,z_a\n{},0.05,0,0.05\n{},0.05,0,0.05\n", times[0], times[1]);
+        fs::write(folder.path().join(name), text).unwrap();
+    };
+    table("host.csv", "host_ns", ["1700000000000000000", "1700000000200000000"]);
+    table("start.csv", "t_s", ["0", "0.2"]);
+    table("early.csv", "t_s", ["-1", "0.2"]);
+    let args = |file: &'static str, out: &'static str| {
+        ["--motion", file, "--duration", "0.3s", "--fps", "10Hz", "--codec", "png", "-o", out]
+    };
+    for (file, out) in [("host.csv", "host"), ("start.csv", "start")] {
+        good(&simulate(folder.path(), &sample_rig(), &args(file, out)));
+    }
+    let truth = |out: &str| fs::read_to_string(folder.path().join(out).join("truth.csv")).unwrap();
+    assert_eq!(truth("host"), truth("start"));
+    let last = truth("host").lines().last().unwrap().split(',').nth(3).unwrap().parse::<f64>().unwrap();
+    assert!(last.abs() > 1.0, "{last}°");
+    refused(&simulate(folder.path(), &sample_rig(), &args("early.csv", "early")), "begins before 0 s");
 }
 
 #[test]
@@ -194,6 +227,11 @@ fn what_cannot_be_seen_is_refused_with_the_reason() {
     refused(&simulate(folder.path(), &bench_rig(), &["--motion", "jump", "-o", "out"]), "is neither rest, planar");
     let long = ["--motion", "rest", "--exposure", "30ms", "-o", "out"];
     refused(&simulate(folder.path(), &bench_rig(), &long), "longer than a frame");
+    let overlapping = ["--motion", "rest", "--exposure", "16ms", "--jitter", "5ms", "-o", "out"];
+    refused(&simulate(folder.path(), &bench_rig(), &overlapping), "exposures of 16 ms overlap");
+    let boards = ["--boards", "1", "--jitter", "5ms", "-o", "out"];
+    refused(&simulate(folder.path(), &bench_rig(), &boards), "cannot be used with");
+    refused(&simulate(folder.path(), &bench_rig(), &["--board", "7x5:10mm", "-o", "out"]), "--boards");
     assert!(!folder.path().join("out").exists(), "nothing was written");
 }
 

@@ -34,6 +34,12 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     // An unreadable old file is reported before the work, not after.
     let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
     let searched = pictures::search(&args.pictures, &args.board, 1, quiet)?;
+    if pictures::show_it_twice(&searched, &args.board) {
+        tracing::warn!(
+            "the pictures show the board twice, as a mirror does: are they those of the rig? Seen through glass and \
+             water a lens seems to be another; take pictures in air, without mirror"
+        );
+    }
     let found: Vec<BoardPicture> = searched
         .iter()
         .filter_map(|s| {

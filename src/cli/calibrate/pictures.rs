@@ -165,6 +165,17 @@ pub(super) fn search(
         .collect()
 }
 
+/// Whether a few of the pictures show the board a second time: looking for it in all would take too long.
+pub(super) fn show_it_twice(searched: &[SearchedPicture], board: &Board) -> bool {
+    let shown: Vec<&SearchedPicture> = searched.iter().filter(|picture| picture.images.is_ok()).collect();
+    let mut some = shown.iter().step_by(shown.len().div_ceil(FEW).max(1));
+    let twice = |picture: &&SearchedPicture| {
+        let grey = Grey::load(&picture.path, Rows::AsStored);
+        grey.is_ok_and(|grey| find_boards(&grey, board, 2).is_ok_and(|images| images.len() > 1))
+    };
+    !shown.is_empty() && some.all(twice)
+}
+
 fn names(files: &[PathBuf]) -> Vec<String> {
     let of_file = |path: &PathBuf| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
     let mut count = BTreeMap::new();
