@@ -307,17 +307,12 @@ impl Simulation {
         let coil_m = self.catheter.flexible_m + self.catheter.coil_m / 2.0;
         let from_coil = |at: &&At| (at.arc_m - coil_m).abs();
         let coil = places.iter().min_by(|a, b| from_coil(a).total_cmp(&from_coil(b)));
-        // A place ends a straight link; the last one, the tube.
-        let at = |arc_m: f64| {
-            let end = places.iter().find(|at| at.arc_m >= arc_m).or(places.last());
-            end.map_or_else(Point3::origin, |at| (at.point + at.frame.column(2) * (arc_m - at.arc_m)).into())
-        };
         Moment {
             time_s: self.state.time_s,
-            base: at(self.catheter.origin_m()),
+            base: at(&places, self.catheter.origin_m()).into(),
             coil: coil.map_or_else(Point3::origin, |at| at.point.into()),
             tangent: coil.map_or_else(Vector3::z, |at| at.frame.column(2).into_owned()),
-            tip: at(self.catheter.tip_m()),
+            tip: at(&places, self.catheter.tip_m()).into(),
             tip_velocity_m_s,
         }
     }
@@ -364,7 +359,7 @@ impl Simulation {
         });
         let solver = matrix.lu();
         let none = DVector::zeros(self.chain.unknowns());
-        let tip = |q: &DVector<f64>| self.chain.places(q, &none).0.last().map_or_else(Vector3::zeros, |at| at.point);
+        let tip = |q: &DVector<f64>| at(&self.chain.places(q, &none).0, self.catheter.tip_m());
         let mut response = Matrix3::zeros();
         for coil in 0..3 {
             // The couple is linear in the currents.
@@ -392,4 +387,10 @@ impl Simulation {
         let acting = self.acting(&self.load);
         [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)].map(|by| self.derivative(&still, &acting, by))
     }
+}
+
+/// The place of a point on the line so far from the clamp: a place ends a straight link, the last one the tube.
+fn at(places: &[At], arc_m: f64) -> Vector3<f64> {
+    let end = places.iter().find(|at| at.arc_m >= arc_m).or(places.last());
+    end.map_or_else(Vector3::zeros, |at| at.point + at.frame.column(2) * (arc_m - at.arc_m))
 }

@@ -37,13 +37,14 @@ pub struct Reached {
     pub theta_rad: f64,
 }
 
-/// Samples the reach with `per_edge` currents along each edge of the box, at least 2.
+/// Samples the reach with `per_edge` currents along each edge of the box, or one more if that is even: the largest θ
+/// may be that of one coil alone, in the middle of a face.
 ///
 /// # Errors
 /// When the catheter has no stable shape at rest.
 pub fn reach(catheter: &Catheter, per_edge: usize) -> Result<Reach, CatheterError> {
     equilibrium(catheter, &Load::currents(Vector3::zeros()))?;
-    let most = per_edge.max(2) - 1;
+    let most = per_edge.saturating_sub(1).next_multiple_of(2).max(2);
     let grid = (0..=most).flat_map(|i| (0..=most).flat_map(move |j| (0..=most).map(move |k| [i, j, k])));
     let faces: Vec<[usize; 3]> = grid.filter(|at| at.iter().any(|i| *i == 0 || *i == most)).collect();
     let solved: Vec<Option<(Reached, Option<f64>)>> = faces

@@ -102,7 +102,8 @@ impl Limits {
         clipped
     }
 
-    /// Checks that every step of `signal`, whose levels are held for `hold_s`, reaches its level in that time.
+    /// Checks that every step of `signal`, whose levels are held for `hold_s` or up to its end, reaches its level in that
+    /// time.
     ///
     /// # Errors
     /// The first step that does not.
@@ -111,6 +112,7 @@ impl Limits {
         let mut before = 0.0;
         for (k, value) in signal.values_a.iter().enumerate() {
             let needs_s = (value - before).abs() / limit_a_s;
+            let hold_s = hold_s.min(signal.duration_s() - signal.time_s(k));
             if needs_s > hold_s * (1.0 + ROUNDING) {
                 return Err(ExciteError::Unreached { at_s: signal.time_s(k), needs_s, limit_a_s, hold_s });
             }
@@ -224,6 +226,7 @@ mod tests {
         assert_eq!((steps.values_a.len(), message.samples, message.what), (7, 2, Change::Slew));
         assert_eq!(limits.check(&steps), Ok(()));
         assert_eq!(limits.check_steps(&signal(&[0.1; 5]), 0.5), Ok(()));
+        assert!(limits.check_steps(&signal(&[0.1; 2]), 0.5).is_err());
         let late = limits.check_steps(&signal(&[0.0, 0.1, 0.1]), 0.2).unwrap_err().to_string();
         assert!(late.contains("at 0.100 s takes 0.250 s at 0.4 A/s, and levels are held for 0.2 s"), "{late}");
     }

@@ -183,7 +183,7 @@ impl Course {
         if self.path.places_mm.len() >= MAX_PATH {
             let mut keep = false;
             self.path.places_mm.retain(|places| {
-                keep = !keep;
+                keep ^= !is_break(places);
                 keep || is_break(places)
             });
             self.path.places_mm.dedup_by(|next, last| is_break(next) && is_break(last));
@@ -200,6 +200,21 @@ impl Course {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::fixture;
+
+    /// Each third frame is lost.
+    #[test]
+    fn a_long_path_with_many_breaks_is_thinned_evenly() {
+        let mut course = Course::new(&fixture::rig(), false);
+        for seq in 0..40_000 {
+            let mut estimate = fixture::complete(seq, 0);
+            estimate.gap = u32::from(seq % 3 == 0);
+            course.frames += 1;
+            course.add_to_path(&estimate);
+        }
+        let places = course.path.places_mm.iter().filter(|places| !is_break(places)).count();
+        assert!(places > MAX_PATH / 5 && course.path.every <= 64, "{places} {}", course.path.every);
+    }
 
     #[test]
     fn a_swing_through_180_degrees_stays_in_one_place() {

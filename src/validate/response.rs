@@ -84,11 +84,11 @@ impl Response {
     /// coordinate of each counts, along the radius for the one and across it for the other), and from what does not
     /// repeat. `None` with fewer than two periods, in which nothing shows what does not repeat, and where the motion
     /// has a hole.
-    pub(super) fn sd(&self, path: &DesiredPath, steps: &[Step], (sd_m, frames): (Option<f64>, usize)) -> Option<f64> {
+    pub(super) fn sd(&self, path: &DesiredPath, steps: &[Step], (sd_m, frames): (Option<f64>, f64)) -> Option<f64> {
         if self.lacking.is_some() {
             return None;
         }
-        let independent_m = sd_m? / (frames as f64).sqrt();
+        let independent_m = sd_m? / frames.sqrt();
         let sd_m = unrepeated::sd_m(path, steps)?.max(independent_m);
         Some(sd_m / self.magnitude?.observed_m).filter(|sd| sd.is_finite())
     }

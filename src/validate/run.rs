@@ -47,6 +47,8 @@ pub(crate) struct Run {
     pub frames: usize,
     /// Of these, frames without the marker's position.
     pub frames_missed: usize,
+    /// How many of them a point is the mean of; 1 where it is interpolated.
+    pub frames_of_point: f64,
     /// Of these, frames that a person has vetoed.
     pub frames_vetoed: usize,
     /// Camera frames lost among them.
@@ -104,8 +106,7 @@ impl Run {
             Size::CircleRadius => 1.0,
             Size::RmsSize => 3.0,
         };
-        let frames_of_point = (self.pause_s / self.interval_s).max(1.0);
-        let too_large = coordinates * (self.sd_m? / magnitude.observed_m).powi(2) / (2.0 * frames_of_point);
+        let too_large = coordinates * (self.sd_m? / magnitude.observed_m).powi(2) / (2.0 * self.frames_of_point);
         Some(self.response_sd?.hypot(too_large))
     }
 }
@@ -169,7 +170,8 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let settling = Settling::of(path, &steps, response.plane.as_ref(), sd_m);
     said.extend(settling.as_ref().and_then(Settling::note));
     let frames_per_period = period_s / interval_s;
-    let periods = Periods::of(path, counted, options.skip, sd_m, frames_per_period);
+    let averaged = if interpolated { 1.0 } else { 1.0 - options.average.left_out() };
+    let periods = Periods::of(path, counted, options.skip, sd_m, averaged * frames_per_period);
     said.extend(periods.iter().flat_map(|periods| periods.notes(seconds(pause_ns))));
     said.extend(notes::weak_correlation(lag.as_ref()));
     said.extend(notes::other_unit(&points, &wanted));
@@ -183,7 +185,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
     let vetoed = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.status == VETOED);
     let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= window.at_ns(skipped)).count();
-    let sd = response.sd(path, &steps, (sd_m, seen));
+    let sd = response.sd(path, &steps, (sd_m, averaged * seen as f64));
     let too_far = |sd: f64| lone.zip(response.magnitude).is_some_and(|(lone, size)| lone.mean_m > sd * size.observed_m);
     let repeated = notes::repeated(&of_runs);
     let off_plane = response.plane.as_ref().zip(response.magnitude.as_ref());
@@ -203,6 +205,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         interpolated,
         interval_s,
         frames: inside.len(),
+        frames_of_point: (averaged * seconds(pause_ns) / interval_s).max(1.0),
         frames_missed: inside.len() - inside.iter().filter(has_place).count(),
         frames_vetoed: inside.iter().filter(vetoed).count(),
         frames_lost: inside.iter().skip(1).fold(0, |sum: u64, frame| sum.saturating_add(frame.gap)),

@@ -86,6 +86,20 @@ fn what_is_read_or_was_written_by_others_is_not_replaced() {
     refused(folder.path(), &["follow", "circle", "--points", "3", "--pause", "100ms", "-o", "circle"], other);
     refused(folder.path(), &["follow", "circle", "--points", "3", "--pause", "100ms", "-o", "circle"], "these options");
     assert_eq!(fs::read(at("circle/desired.csv")).unwrap(), desired);
+    for option in [["--radius", "3mm"], ["--centre", "1mm,1mm"], ["--points", "7"]] {
+        let path = ["follow", "circle/desired.csv", "-o", "other"];
+        refused(folder.path(), &[&path[..], &option].concat(), "has its own places");
+    }
+    // Again: its own files are replaced, those of others with their names are not.
+    stdout(&catheter(folder.path(), &follow));
+    for (name, measured) in [("currents_20ms.play", "1, 55.5, 1000\n"), ("currents_20ms.csv", "t_s,coil\r\n0,0.1\r\n")]
+    {
+        let own = fs::read(at("circle").join(name)).unwrap();
+        fs::write(at("circle").join(name), measured).unwrap();
+        refused(folder.path(), &follow, "which this command did not write");
+        assert_eq!(fs::read_to_string(at("circle").join(name)).unwrap(), measured);
+        fs::write(at("circle").join(name), own).unwrap();
+    }
     fs::write(at("circle/desired.csv"), "x_mm,y_mm\n1,2\n").unwrap();
     refused(folder.path(), &follow, "has desired.csv, which this command did not write");
 
@@ -121,6 +135,10 @@ fn the_reach_is_a_surface() {
     assert!(text.contains("a surface: a moment along B0 moves nothing"), "{text}");
     let table = fs::read_to_string(folder.path().join("reach/reach.csv")).unwrap();
     assert!(table.lines().count() > 20, "{table}");
+    // Of an even number the middles of the faces, where a coil acts alone, would be left out.
+    let even = stdout(&catheter(folder.path(), &["reach", "--steps", "2"]));
+    let theta = |text: &str| text.lines().find(|line| line.contains('θ')).unwrap().to_owned();
+    assert_eq!(theta(&even), theta(&text));
 }
 
 /// A circle beside the axis, run through the model, and judged by `validate`: when each point is held long enough only

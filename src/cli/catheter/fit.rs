@@ -8,7 +8,7 @@ use super::super::{Exit, Failure, output, provenance};
 use super::bands::Seen;
 use super::recorded::Reading;
 use super::run::Columns;
-use super::{Common, failure, prepare};
+use super::{Common, Own, failure, prepare};
 use crate::catheter::{
     Accuracy, CatheterError, Check, Fit, FitOptions, Noise, Parameter, Run, check, fit_with_progress,
 };
@@ -20,8 +20,11 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// What is written, and how it begins: a catheter's file that somebody wrote is not replaced.
-const FILES: [(&str, &str); 3] =
-    [("catheter.toml", "# Fitted to "), ("fit.csv", "parameter,unit,value,sd,"), ("fit.html", PAGE)];
+const FILES: [(&str, Own); 3] = [
+    ("catheter.toml", Own::Begins("# Fitted to ")),
+    ("fit.csv", Own::Begins("parameter,unit,value,sd,")),
+    ("fit.html", Own::Begins(PAGE)),
+];
 
 #[derive(Debug, clap::Args)]
 pub(super) struct FitArgs {

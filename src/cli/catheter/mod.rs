@@ -16,7 +16,7 @@ use crate::calibrate::length_m;
 use crate::catheter::{Catheter, CatheterError, Followed, Load, Target, equilibrium, follow, harmonics, reach};
 use crate::plural::plural;
 use crate::report::catheter as pages;
-use crate::series::{SeriesError, columns, play};
+use crate::series::{CurrentTable, SeriesError, columns, play};
 use crate::source::times::decimal_seconds;
 use clap::Subcommand;
 use nalgebra::{Point3, Vector3};
@@ -30,6 +30,10 @@ use std::path::{Path, PathBuf};
 const SMALL_M: f64 = 0.5e-3;
 /// Shortest pause: the amplifier's delays are whole milliseconds.
 const SHORTEST_PAUSE_S: f64 = 1e-3;
+/// A circle or lemniscate where no options say it: centre across the tube, radius, and points.
+const CENTRE_M: (f64, f64) = (28e-3, 0.0);
+const RADIUS_M: f64 = 8e-3;
+const POINTS: u32 = 200;
 /// The headers of tables.
 const REACHED: &str = "x_a,y_a,z_a,tip_x_mm,tip_y_mm,tip_z_mm,tan_x,tan_y,tan_z,theta_deg\r\n";
 const DESIRED: &str = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\r\n";
@@ -103,7 +107,7 @@ struct ShapeArgs {
 struct ReachArgs {
     #[command(flatten)]
     common: Common,
-    /// Settings along each edge of the box of allowed currents
+    /// Settings along each edge of the box of allowed currents, one more if even
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = clap::value_parser!(u16).range(2..=41))]
     steps: u16,
     /// Folder for reach.csv and reach.html
@@ -117,16 +121,15 @@ struct FollowArgs {
     common: Common,
     /// `circle`, `lemniscate`, or a table with x_mm, y_mm and, for a path in space, z_mm
     path: String,
-    /// Centre of a circle or lemniscate across the tube
-    #[arg(long, value_name = "X,Y", value_delimiter = ',', value_parser = signed_length_m, allow_hyphen_values = true,
-        default_value = "28mm,0mm")]
+    /// Centre of a circle or lemniscate across the tube [default: 28mm,0mm]
+    #[arg(long, value_name = "X,Y", value_delimiter = ',', value_parser = signed_length_m, allow_hyphen_values = true)]
     centre: Vec<f64>,
-    /// Radius of a circle, half the length of a lemniscate
-    #[arg(long, value_name = "R", default_value = "8mm", value_parser = radius_m)]
-    radius: f64,
-    /// Points of a circle or lemniscate
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(3..=100_000))]
-    points: u32,
+    /// Radius of a circle, half the length of a lemniscate [default: 8mm]
+    #[arg(long, value_name = "R", value_parser = radius_m)]
+    radius: Option<f64>,
+    /// Points of a circle or lemniscate [default: 200]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=100_000))]
+    points: Option<u32>,
     /// How many times the path is repeated
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1000))]
     periods: u32,
@@ -230,7 +233,7 @@ impl ShapeArgs {
 impl ReachArgs {
     fn run(&self) -> Result<(), Failure> {
         let (name, catheter) = self.common.load()?;
-        let files = [("reach.csv", REACHED), ("reach.html", PAGE)];
+        let files = [("reach.csv", Own::Begins(REACHED)), ("reach.html", Own::Begins(PAGE))];
         if let Some(out) = &self.out {
             prepare(out, &files, self.common.catheter.as_deref().as_slice())?;
         }
@@ -283,10 +286,9 @@ impl FollowArgs {
         }
         let tables: Vec<(f64, String)> = self.pause.iter().map(|s| (*s, format!("currents_{}ms", s * 1e3))).collect();
         let files = [("desired.csv", DESIRED), ("response.csv", RESPONSE), ("follow.html", PAGE)];
-        let mut files = files.map(|(name, begins)| (name.to_owned(), begins)).to_vec();
-        // A list does not say who wrote it; the table beside it does.
+        let mut files = files.map(|(name, begins)| (name.to_owned(), Own::Begins(begins))).to_vec();
         for (_, table) in &tables {
-            files.extend([(format!("{table}.csv"), "t_s,"), (format!("{table}.play"), "")]);
+            files.extend([(format!("{table}.csv"), Own::Currents), (format!("{table}.play"), Own::List)]);
         }
         let inputs: Vec<&Path> = self.common.catheter.as_deref().into_iter().chain([Path::new(&self.path)]).collect();
         prepare(&self.out, &files, &inputs)?;
@@ -352,12 +354,17 @@ impl FollowArgs {
     }
 
     fn targets(&self, origin_m: f64) -> Result<Vec<Target>, Failure> {
-        let &[x, y] = self.centre.as_slice() else {
-            let text = format!("--centre: {} lengths, expected X,Y such as 28mm,0mm", self.centre.len());
-            return Err(Failure::usage(text));
+        let (x, y) = match *self.centre.as_slice() {
+            [] => CENTRE_M,
+            [x, y] => (x, y),
+            _ => {
+                let text = format!("--centre: {} lengths, expected X,Y such as 28mm,0mm", self.centre.len());
+                return Err(Failure::usage(text));
+            }
         };
-        let turns = (0..self.points).map(|k| f64::from(k) / f64::from(self.points) * TAU);
-        let across = |dx: f64, dy: f64| Target::Across([x + self.radius * dx, y + self.radius * dy]);
+        let (points, radius_m) = (self.points.unwrap_or(POINTS), self.radius.unwrap_or(RADIUS_M));
+        let turns = (0..points).map(|k| f64::from(k) / f64::from(points) * TAU);
+        let across = |dx: f64, dy: f64| Target::Across([x + radius_m * dx, y + radius_m * dy]);
         match self.path.as_str() {
             "circle" => Ok(turns.map(|t| across(t.cos(), t.sin())).collect()),
             // Bernoulli's.
@@ -367,13 +374,19 @@ impl FollowArgs {
                     across(t.cos() * scale, t.sin() * t.cos() * scale)
                 })
                 .collect()),
-            file => from_table(Path::new(file), origin_m),
+            file if self.centre.is_empty() && self.radius.is_none() && self.points.is_none() => {
+                from_table(Path::new(file), origin_m)
+            }
+            file => Err(Failure::usage(format!(
+                "{file}: a path from a table has its own places: leave --centre, --radius and --points out"
+            ))),
         }
     }
 
-    /// Currents from each time on, all periods, then zero.
+    /// Currents from each time on, all periods, then zero; in whole nanoamperes, as they are written.
     fn rows(&self, followed: &[Followed], pause_s: f64) -> Vec<(i64, [f64; 3])> {
-        let all = (0..self.periods).flat_map(|_| followed).map(|f| f.currents_a.into());
+        let all = (0..self.periods).flat_map(|_| followed);
+        let all = all.map(|f| f.currents_a.map(|current_a| (current_a * 1e9).round() / 1e9).into());
         let time_ns = |k: usize| (k as f64 * pause_s * 1e9).round() as i64;
         all.chain(std::iter::once([0.0; 3])).enumerate().map(|(k, currents)| (time_ns(k), currents)).collect()
     }
@@ -423,9 +436,50 @@ fn desired(followed: &[Followed], origin_m: f64) -> String {
     text
 }
 
+/// What tells a file of these commands from one of the user's.
+#[derive(Debug, Clone, Copy)]
+enum Own {
+    /// How it begins.
+    Begins(&'static str),
+    /// A table of currents of [`FollowArgs::rows`].
+    Currents,
+    /// The list of that table, which is beside it: lists do not say who wrote them.
+    List,
+}
+
+impl Own {
+    /// Whether a file is one, or empty.
+    fn is(self, file: &Path) -> bool {
+        match self {
+            Self::Begins(text) => begins_with(file, text),
+            Self::Currents => fs::read_to_string(file).is_ok_and(|text| text.is_empty() || are_own_currents(&text)),
+            Self::List => {
+                let table = file.with_extension("csv");
+                let Ok(own) = CurrentTable::read(&table) else { return false };
+                let list = play::write(own.rows.iter().map(|row| (row.time_ns, row.values_a.as_slice())));
+                Self::Currents.is(&table) && fs::read_to_string(file).is_ok_and(|text| text == list)
+            }
+        }
+    }
+}
+
+/// Whether all numbers have the digits of a table of [`FollowArgs::rows`], and the last currents are zero.
+fn are_own_currents(text: &str) -> bool {
+    let mut lines = text.split_terminator("\r\n");
+    let headed = lines.next().is_some_and(|header| header.starts_with("t_s,") && header.split(',').count() == 4);
+    let exact = |cell: &str| cell.split_once('.').is_some_and(|(_, digits)| digits.len() == 9);
+    let mut last = "";
+    headed
+        && lines.all(|line| {
+            last = line;
+            line.split(',').count() == 4 && line.split(',').all(exact)
+        })
+        && last.split(',').skip(1).all(|cell| cell == "0.000000000")
+}
+
 /// Makes the folder; refuses one that has other files than those of this command, or something that is read. `own`: the
-/// names of its files, and how they begin.
-fn prepare(folder: &Path, own: &[(impl AsRef<str>, &str)], inputs: &[&Path]) -> Result<(), Failure> {
+/// names of its files, and what they are.
+fn prepare(folder: &Path, own: &[(impl AsRef<str>, Own)], inputs: &[&Path]) -> Result<(), Failure> {
     let refused = |what: String| Failure::usage(format!("{}: {what}", folder.display()));
     let failed = |e: std::io::Error| Failure::new(Exit::Failed, format!("{}: {e}", folder.display()));
     if folder.exists() && !folder.is_dir() {
@@ -440,7 +494,7 @@ fn prepare(folder: &Path, own: &[(impl AsRef<str>, &str)], inputs: &[&Path]) -> 
     };
     for entry in entries {
         let name = entry.file_name();
-        if !own.iter().any(|(own, begins)| name == own.as_ref() && begins_with(&entry.path(), begins)) {
+        if !own.iter().any(|(own, is)| name == own.as_ref() && is.is(&entry.path())) {
             return Err(refused(format!(
                 "has {}, which this command did not write, or not with these options; give another folder",
                 name.display()

@@ -7,7 +7,7 @@ use super::{Common, failure};
 use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, record, seen};
 use crate::log::schema::table;
 use crate::plural::plural;
-use crate::series::CurrentTable;
+use crate::series::{CurrentClock, CurrentTable};
 use crate::source::times::{decimal_seconds, seconds};
 use nalgebra::Vector3;
 use std::fmt::Write as _;
@@ -72,22 +72,29 @@ pub(in super::super) struct Columns {
 }
 
 impl Columns {
-    /// The currents, later than told by `shift_s`.
+    /// The currents since the table's start, or since its first row where it has times of a host or camera; later than
+    /// told by `delay_s`.
     pub(in super::super) fn commands(
         &self,
         catheter: &Catheter,
         table: &CurrentTable,
-        shift_s: f64,
+        delay_s: f64,
     ) -> Result<Commands, Failure> {
         let file = table.path.display();
+        let first_ns = table.rows.first().map_or(0, |row| row.time_ns);
+        let since_ns = if table.clock == CurrentClock::Start { 0 } else { first_ns };
         let columns = self.of(&table.coils).map_err(|why| Failure::usage(format!("{file}: {why}")))?;
         let value = |row: &[f64], column: Option<usize>| column.and_then(|k| row.get(k)).copied().unwrap_or(0.0);
         let rows = table.rows.iter().map(|row| {
-            let time_s = seconds(row.time_ns) + shift_s;
+            let time_s = seconds(row.time_ns.saturating_sub(since_ns)) + delay_s;
             (time_s, Vector3::from(columns.map(|column| value(&row.values_a, column))))
         });
         let rows: Vec<(f64, Vector3<f64>)> = rows.collect();
-        Commands::new(catheter, rows).map_err(|e| Failure::usage(format!("{file}: {e}")))
+        let commands = Commands::new(catheter, rows).map_err(|e| Failure::usage(format!("{file}: {e}")))?;
+        if commands.span_s().0 < 0.0 {
+            return Err(Failure::usage(format!("{file}: begins before 0 s")));
+        }
+        Ok(commands)
     }
 
     /// Indices of the coils' columns among these names.
@@ -146,15 +153,8 @@ impl RunArgs {
             catheter.motion.damping_s = damping_s;
         }
         let table = CurrentTable::read(&self.currents).map_err(Failure::usage)?;
-        // Times of the host or the camera begin anew.
-        let first_s = table.rows.first().map_or(0.0, |row| seconds(row.time_ns));
-        let since_s = if table.clock == crate::series::CurrentClock::Start { 0.0 } else { first_s };
-        let delay_s = self.delay.unwrap_or(0.0);
-        let commands = self.columns.commands(&catheter, &table, delay_s - since_s)?;
-        let (begin_s, end_s) = commands.span_s();
-        if begin_s < 0.0 {
-            return Err(Failure::usage(format!("{}: begins before 0 s", self.currents.display())));
-        }
+        let commands = self.columns.commands(&catheter, &table, self.delay.unwrap_or(0.0))?;
+        let (_, end_s) = commands.span_s();
         let duration_s = self.duration.unwrap_or(end_s + 1.0);
         let frames = (duration_s * self.rate).floor() + 1.0;
         if frames > MAX_FRAMES {

@@ -13,8 +13,9 @@ use crate::catheter::Catheter;
 use crate::plural::plural;
 use crate::rig::Rig;
 use crate::simulate::{
-    BoardPoses, BoardSet, Mount, Renderer, Scene, Sensor, StandardMotion, Timing, noise_seed, taught,
+    BoardPoses, BoardSet, Mount, Renderer, Scene, Sensor, Stamp, StandardMotion, Timing, noise_seed, taught,
 };
+use crate::source::times::seconds;
 pub(in crate::cli) use motion::Source;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -23,11 +24,17 @@ use writer::{Codec, Taken, Writer};
 
 /// Frames that are drawn side by side, and wait for the encoder.
 const BATCH: usize = 8;
+/// Frames per second where no option says it.
+const RATE_HZ: f64 = 60.0;
 /// Exposure where neither rig nor options say it, seconds.
 pub(in crate::cli) const EXPOSURE_S: f64 = 2e-3;
 
 /// The catheter that was simulated, for `catheter fit`.
 const CATHETER: &str = "catheter.toml";
+
+/// Options that boards do not have.
+const OF_RECORDINGS: [&str; 9] =
+    ["motion", "duration", "fps", "codec", "exposure", "highlight", "distractors", "jitter", "lost"];
 
 /// Arguments of `catoptra simulate`.
 #[derive(Debug, clap::Args)]
@@ -43,9 +50,9 @@ pub(crate) struct Args {
     catheter: Option<PathBuf>,
     #[command(flatten)]
     columns: Columns,
-    /// Frames per second
-    #[arg(long, value_name = "F", default_value = "60Hz", value_parser = frequency_hz)]
-    fps: f64,
+    /// Frames per second [default: 60Hz]
+    #[arg(long, value_name = "F", value_parser = frequency_hz)]
+    fps: Option<f64>,
     /// Length [default: 9 s; 1 s at rest, or beyond the last current]
     #[arg(long, value_name = "T", value_parser = duration_s)]
     duration: Option<f64>,
@@ -77,11 +84,11 @@ pub(crate) struct Args {
     #[arg(long, value_name = "%", default_value_t = 0.0)]
     lost: f64,
     /// N pictures of a board in air and N in the rig instead of a recording
-    #[arg(long, value_name = "N", conflicts_with_all = ["motion", "duration"])]
+    #[arg(long, value_name = "N", conflicts_with_all = OF_RECORDINGS)]
     #[arg(value_parser = clap::value_parser!(u16).range(1..=1000))]
     boards: Option<u16>,
     /// That board: inner corners and squares
-    #[arg(long, value_name = "CxR:SIZE", default_value = "9x6:12mm")]
+    #[arg(long, value_name = "CxR:SIZE", default_value = "9x6:12mm", requires = "boards")]
     board: String,
     /// Folder for recording, truth.csv, rig.toml and catheter.toml
     #[arg(short, long, value_name = "DIR")]
@@ -129,11 +136,46 @@ impl Args {
 
     fn exposure_s(&self, rig: &Rig) -> Result<f64, Failure> {
         let exposure_s = self.exposure.or(rig.camera.exposure_s).unwrap_or(EXPOSURE_S);
-        if exposure_s * self.fps > 1.0 {
-            let text = format!("an exposure of {} ms is longer than a frame at {} Hz", exposure_s * 1e3, self.fps);
+        let rate_hz = self.rate_hz();
+        if exposure_s * rate_hz > 1.0 {
+            let text = format!("an exposure of {} ms is longer than a frame at {rate_hz} Hz", exposure_s * 1e3);
             return Err(Failure::usage(text));
         }
         Ok(exposure_s)
+    }
+
+    fn rate_hz(&self) -> f64 {
+        self.fps.unwrap_or(RATE_HZ)
+    }
+
+    /// The frames of a motion, each exposed for so long.
+    fn stamps(&self, source: &Source, exposure_s: f64) -> Result<Vec<Stamp>, Failure> {
+        if matches!(source, Source::Poses(_)) {
+            let given = [
+                ("--fps", self.fps.is_some()),
+                ("--exposure", self.exposure.is_some()),
+                ("--jitter", self.jitter > 0.0),
+                ("--lost", self.lost > 0.0),
+            ];
+            if let Some((option, _)) = given.into_iter().find(|(_, given)| *given) {
+                let text =
+                    format!("{option}: a tracked run is simulated at its own times, frame by frame: leave it out");
+                return Err(Failure::usage(text));
+            }
+        }
+        let timing =
+            Timing { rate_hz: self.rate_hz(), jitter_s: self.jitter, lost: self.lost / 100.0, seed: self.seed };
+        let stamps = source.stamps(timing)?;
+        let shortest_s = stamps.windows(2).map(|pair| seconds(pair[1].ns - pair[0].ns)).fold(f64::INFINITY, f64::min);
+        // Stamps are whole nanoseconds.
+        if self.jitter > 0.0 && exposure_s > shortest_s + 1e-9 {
+            return Err(Failure::usage(format!(
+                "exposures of {} ms overlap: by --jitter two frames are only {:.3} ms apart; shorten one of them",
+                exposure_s * 1e3,
+                shortest_s * 1e3
+            )));
+        }
+        Ok(stamps)
     }
 
     fn source(&self, rig: &Rig, mount: &Mount) -> Result<Source, Failure> {
@@ -150,8 +192,7 @@ impl Args {
         (asked, quiet): (&AtomicBool, bool),
     ) -> Result<(), Failure> {
         let exposure_s = self.exposure_s(rig)?;
-        let timing = Timing { rate_hz: self.fps, jitter_s: self.jitter, lost: self.lost / 100.0, seed: self.seed };
-        let stamps = source.stamps(timing)?;
+        let stamps = self.stamps(&source, exposure_s)?;
         let renderer = Renderer::new(rig, scene).map_err(|e| Failure::usage(format!("{}: {e}", self.rig.display())))?;
         let mut files = self.codec.files(stamps.len());
         files.extend(["truth.csv", "rig.toml", CATHETER].map(str::to_owned));

@@ -117,18 +117,19 @@ fn poses(rig: &Rig, mount: &Mount, file: &Path) -> Result<Option<Vec<(Stamp, Cen
     let order = rig.markers.iter().map(|marker| run.markers.iter().position(|name| *name == marker.name));
     let order: Vec<Option<usize>> = order.collect();
     let mut lines: Vec<(Stamp, CentreLine)> = Vec::with_capacity(run.frames.len());
-    let mut skipped = 0;
+    let mut skipped = 0_u32;
     for frame in &run.frames {
+        let lost = u32::try_from(frame.gap).unwrap_or(u32::MAX).saturating_add(skipped);
         let places: Vec<Option<Point3<f64>>> = order
             .iter()
             .map(|k| k.and_then(|k| frame.places.get(k)).and_then(|place| place.point).map(|p| camera_from_base * p))
             .collect();
         let tangent: Option<Vector3<f64>> = frame.tangent.map(|t| camera_from_base * t);
         let Some(line) = tangent.and_then(|t| line_through(rig, mount, &places, &t)) else {
-            skipped += 1;
+            skipped = lost.saturating_add(1);
             continue;
         };
-        let gap = u32::try_from(frame.gap).unwrap_or(u32::MAX).saturating_add(std::mem::take(&mut skipped));
+        skipped = 0;
         if lines.last().is_some_and(|(before, _)| before.ns >= frame.stamp_ns) {
             let text = format!(
                 "time does not rise at seq {} ({} ns): expected later than the row before",
@@ -136,7 +137,7 @@ fn poses(rig: &Rig, mount: &Mount, file: &Path) -> Result<Option<Vec<(Stamp, Cen
             );
             return Err(wrong(text));
         }
-        lines.push((Stamp { ns: frame.stamp_ns, gap }, line));
+        lines.push((Stamp { ns: frame.stamp_ns, gap: lost }, line));
     }
     if lines.is_empty() {
         return Err(wrong("has no frame with all places and the tangent".to_owned()));

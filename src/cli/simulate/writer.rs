@@ -5,6 +5,7 @@ use crate::rig::Rig;
 use crate::simulate::{CentreLine, Stamp, Stored, truth};
 use crate::sink::{CsvSink, OutputFrame, PictureCodec, PictureVideo, Sink};
 use crate::source::Picture;
+use crate::source::times::decimal_seconds;
 use crate::tally::Tally;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -129,7 +130,7 @@ impl Files {
             Pictures::Video(video) => video.add(&frame.picture, frame.stamp.ns).map_err(|e| e.to_string()),
             Pictures::Folder(folder, times) => {
                 let (name, ns) = (png(frame.seq), frame.stamp.ns);
-                *times += &format!("{name},{}.{:09},{ns}\r\n", ns / 1_000_000_000, ns % 1_000_000_000);
+                *times += &format!("{name},{},{ns}\r\n", decimal_seconds(ns));
                 let path = folder.join(name);
                 let [width, height] = frame.picture.size_px();
                 let bytes = frame.picture.plane(0).map(|plane| plane.data).unwrap_or_default();

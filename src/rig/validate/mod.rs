@@ -146,7 +146,7 @@ impl Check<'_> {
     fn name(&self, key: impl Display, name: &str) -> Result<(), RigError> {
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
         // Tables and summaries count what is missing by these names.
-        if ["tangent", "deflection"].contains(&name) {
+        if ["tangent", "deflection", "theta"].contains(&name) {
             return Err(self.value(key, format_args!("{name:?}"), "another name: this one is that of a result"));
         }
         if !name.is_empty() && name.chars().all(plain) {
