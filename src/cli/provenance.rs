@@ -1,5 +1,6 @@
 //! Date of a page, and its command line.
 
+use crate::source::names::without_credentials;
 use std::time::SystemTime;
 
 /// Name and value, for the facts of a page.
@@ -7,9 +8,9 @@ pub(super) fn of_this_run() -> [(String, String); 2] {
     of_command(std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()))
 }
 
-/// As [`of_this_run`], for the command with these `words` after the program's name.
+/// As [`of_this_run`], for the command with these `words` after the program's name; without names and passwords.
 pub(super) fn of_command(words: impl Iterator<Item = String>) -> [(String, String); 2] {
-    let words = words.map(|word| quoted(&word));
+    let words = words.map(|word| quoted(&without_credentials(&word)));
     let command = std::iter::once("catoptra".to_owned()).chain(words).collect::<Vec<_>>().join(" ");
     [("Command".to_owned(), command), ("Made".to_owned(), now().replace('T', " ").replace('Z', " UTC"))]
 }
@@ -39,6 +40,13 @@ mod tests {
             ["a.mkv", "day 1/it's.mkv", "", "--b0=1,0,0"].map(quoted),
             ["a.mkv", r"'day 1/it'\''s.mkv'", "''", "--b0=1,0,0"]
         );
+    }
+
+    #[test]
+    fn names_and_passwords_are_not_told() {
+        let words = ["live", "rtsp://bob:secret@camera/a", "-o", "run"].map(str::to_owned);
+        let [(_, command), _] = of_command(words.into_iter());
+        assert_eq!(command, "catoptra live rtsp://camera/a -o run");
     }
 
     #[test]

@@ -96,6 +96,36 @@ pub struct Until {
     pub duration: Option<Duration>,
 }
 
+impl Until {
+    /// Waits for the first bytes of standard input, or its end; `false` when the run is over before. (What reads it
+    /// cannot be stopped.)
+    pub(crate) fn await_standard_input(&self) -> bool {
+        let began = Instant::now();
+        while !self.stop.load(Ordering::Relaxed) && self.duration.is_none_or(|duration| began.elapsed() < duration) {
+            #[cfg(unix)]
+            if !is_silent(&std::io::stdin()) {
+                return true;
+            }
+            #[cfg(not(unix))]
+            return true;
+        }
+        false
+    }
+}
+
+/// Whether nothing comes from a file for [`POLL_INTERVAL`].
+#[cfg(unix)]
+fn is_silent(file: &impl std::os::fd::AsFd) -> bool {
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    let wait = Timespec::try_from(POLL_INTERVAL).ok();
+    let mut watched = [PollFd::new(file, PollFlags::IN)];
+    match poll(&mut watched, wait.as_ref()) {
+        Ok(ready) => ready == 0,
+        // A signal came.
+        Err(error) => error == rustix::io::Errno::INTR,
+    }
+}
+
 /// What a live run came to.
 #[derive(Debug)]
 pub struct LiveSummary {

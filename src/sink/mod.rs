@@ -210,6 +210,16 @@ pub enum SinkError {
         /// Which file.
         path: PathBuf,
     },
+    /// Pictures of another size or format than those before in a video.
+    #[error("cannot write {path}: pictures are {after} now, and were {before}: a video has one format")]
+    PictureChanged {
+        /// Which file.
+        path: PathBuf,
+        /// Size and format of its pictures.
+        before: String,
+        /// Of the next one.
+        after: String,
+    },
     /// A picture whose samples cannot be converted to colours.
     #[error("cannot write {path}: no conversion to RGB from {format}")]
     PixelFormat {

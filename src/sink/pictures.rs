@@ -251,8 +251,12 @@ impl Frames {
 
     fn frame(&mut self, path: &Path, picture: &Picture) -> Result<av::frame::Video, SinkError> {
         if (picture.format(), picture.size_px()) != self.layout {
-            let format = format!("{picture:?} in a video of {:?}", self.layout);
-            return Err(SinkError::PixelFormat { path: path.to_owned(), format });
+            let words = |(format, [width, height]): (PixelFormat, [u32; 2])| format!("{width}x{height} {format:?}");
+            return Err(SinkError::PictureChanged {
+                path: path.to_owned(),
+                before: words(self.layout),
+                after: words((picture.format(), picture.size_px())),
+            });
         }
         let [width, height] = picture.size_px();
         if let Some((to_bgr, bgr, to_yuv)) = &mut self.converted {

@@ -183,6 +183,11 @@ impl VideoFile {
         })
     }
 
+    /// What its stamps were so far.
+    pub(super) fn into_stamps(self) -> StampWatch {
+        self.stamps
+    }
+
     /// When the packet of the last frame passed on was read, in a stream.
     pub(super) fn arrival(&self) -> Option<Instant> {
         self.arrival
@@ -377,14 +382,21 @@ impl VideoFile {
         Ok(None)
     }
 
-    /// The stamp of a frame; `None` for the first frames of a stream without any, which are left out and counted.
+    /// The stamp of a frame; `None` for a frame without any, which is left out and counted: the first ones of some
+    /// streams, and where the packet with the stamp was lost.
     fn stamp_if_any(&mut self, picture: &Decoded) -> Result<Option<Timestamp>, SourceError> {
         match self.stamp(picture) {
-            // The first packets of some senders have none.
-            Err(SourceError::NoTime { .. }) if self.clock == Clock::Stream && self.seq == 0 => {
+            // A recording of which hardly any frame has one is refused.
+            Err(SourceError::NoTime { .. })
+                if self.has_times() && (self.clock == Clock::Stream || self.faults.unstamped < self.seq) =>
+            {
                 self.faults.unstamped += 1;
                 if self.faults.unstamped == 1 {
-                    tracing::warn!("{}: frames before the first time stamp are left out", self.path.display());
+                    tracing::warn!(
+                        "{}: frames without a time stamp are left out: those before the first one, or whose packet was \
+                         lost; they are counted",
+                        self.path.display()
+                    );
                 }
                 Ok(None)
             }

@@ -139,6 +139,12 @@ impl ClockFit {
         time
     }
 
+    /// The other clock began anew with the next frame.
+    pub(crate) fn begin_anew(&mut self) {
+        self.least.clear();
+        (self.last_stamp_ns, self.far_since) = (None, None);
+    }
+
     /// By how much all frames of the last seconds arrived later than the line, nanoseconds, if that is much.
     pub fn is_late(&self) -> Option<i64> {
         // The last bin is not over yet.

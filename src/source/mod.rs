@@ -174,7 +174,8 @@ pub struct StreamFaults {
     pub backward_stamps: u64,
     /// Frames without a presentation time, where the decoder's best estimate is taken.
     pub guessed_stamps: u64,
-    /// Frames before the first time stamp of a live stream, which are left out.
+    /// Frames without any time, which are left out: those before the first time stamp of a live stream, or whose packet
+    /// with the stamp was lost.
     pub unstamped: u64,
     /// Interruptions of a live stream.
     pub interruptions: u64,
@@ -200,6 +201,7 @@ impl StreamFaults {
             (self.repeated_stamps, "repeated time stamps"),
             (self.backward_stamps, "time stamps that go back"),
             (self.guessed_stamps, "estimated time stamps"),
+            (self.unstamped, "frames without a time stamp"),
         ];
         let found: Vec<String> = counts.iter().filter(|(n, _)| *n > 1).map(|(n, what)| format!("{n} {what}")).collect();
         if !found.is_empty() {

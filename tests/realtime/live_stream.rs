@@ -13,11 +13,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Sends the whole file to each who connects, one after the other.
 fn served(file: &Path, times: usize) -> SocketAddr {
-    let bytes = std::fs::read(file).unwrap();
+    served_all(&vec![file; times])
+}
+
+/// Each file on a connection of its own.
+fn served_all(files: &[&Path]) -> SocketAddr {
+    let all: Vec<Vec<u8>> = files.iter().map(|file| std::fs::read(file).unwrap()).collect();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     std::thread::spawn(move || {
-        for _ in 0..times {
+        for bytes in all {
             let (mut connection, _) = listener.accept().unwrap();
             // A reader that has seen enough is no failure.
             let _ = connection.write_all(&bytes);
@@ -133,4 +138,29 @@ fn frames_before_the_first_time_stamp_are_left_out_and_counted() {
     assert_eq!((first.seq, stream.faults().unstamped, stream.faults().interruptions), (0, 1, 0));
     let second = stream.next_frame().unwrap().unwrap();
     assert_eq!((second.seq, second.gap, second.stamp.ns - first.stamp.ns), (1, 0, 40_000_000));
+}
+
+#[test]
+fn frames_lost_in_an_interruption_through_which_the_clock_went_on_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let part = |name: &str, frames: std::ops::Range<i64>| {
+        let path = folder.path().join(name);
+        let pts: Vec<i64> = frames.map(|k| 3600 * (k + 10)).collect();
+        write(
+            &path,
+            &Recording { pts: &pts, time_base: (1, 90_000), b_frames: 0, size_px: [320, 240], ..Recording::default() },
+        );
+        path
+    };
+    let (before, after) = (part("before.ts", 0..50), part("after.ts", 90..140));
+    let address = served_all(&[&before, &after]);
+    let mut stream = Stream::open(&format!("tcp://{address}"), HostClock::start(), Arc::default()).unwrap();
+    let mut frames = Vec::new();
+    while frames.len() < 60 {
+        let frame = stream.next_frame().unwrap().unwrap();
+        frames.push((frame.stamp.ns, frame.gap));
+    }
+    let gaps: Vec<(usize, u32)> = (0..60).map(|k| (k, frames[k].1)).filter(|(_, gap)| *gap > 0).collect();
+    assert_eq!((gaps, stream.faults().interruptions), (vec![(50, 40)], 1));
+    assert_eq!(frames[50].0 - frames[49].0, 41 * 40_000_000);
 }

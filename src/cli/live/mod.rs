@@ -36,6 +36,7 @@ use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Free space reserved for the log, gigabytes: more than an hour at 60 Hz.
@@ -154,6 +155,10 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let clock = HostClock::start();
     let receive = |from| work.within(|| args.receive_currents(from, clock, &until.stop));
     let currents = args.currents.as_ref().map(receive).transpose()?;
+    if args.source == "-" && !until.await_standard_input() {
+        let exit = if until.stop.load(Ordering::Relaxed) { Exit::Interrupted } else { Exit::Unusable };
+        return Err(Failure::new(exit, format!("{}: no frame was received", args.name())));
+    }
     let source = match simulated {
         Some(simulated) => {
             let rate_hz = args.from.fps.map(|rate| rate.hz());
@@ -273,7 +278,9 @@ fn lines(summary: &LiveSummary, recorded_from_the_beginning: bool) -> String {
     let interruptions = summary.run.source.interruptions;
     if interruptions > 0 {
         let times = if interruptions == 1 { "once".to_owned() } else { format!("{interruptions} times") };
-        text += &format!("the stream was interrupted {times}\n");
+        text += &format!(
+            "the stream was interrupted {times}; where its clock began anew, what was lost meanwhile is not known\n"
+        );
     }
     let pictures = summary.pictures.filter(|(recorded, dropped)| recorded_from_the_beginning || recorded + dropped > 0);
     if let Some((recorded, dropped)) = pictures {

@@ -165,7 +165,8 @@ pub(super) fn verdict(source: &str, rig: &Rig, summary: Summary) -> Result<(), F
     // Disks come first: an interrupted run that could not be written is a failed one.
     if !summary.sink_failures.is_empty() {
         let errors: Vec<_> = summary.sink_failures.iter().map(SinkError::to_string).collect();
-        let text = format!("{}; what was written before is kept: {}", errors.join("; "), frames("tracked"));
+        let text =
+            format!("{}; what was written before is kept; of the whole run {}", errors.join("; "), frames("tracked"));
         // A transient one tells that the run may be repeated.
         let mut failures = summary.sink_failures;
         let which = failures.iter().position(|failure| is_transient(failure)).unwrap_or(0);

@@ -285,6 +285,8 @@ impl Parser {
                     let why = if has_decimal_commas(&said) {
                         ": with `;` or blanks between the currents, a comma can only be a decimal comma: write \
                          decimal points"
+                    } else if said.trim().contains('\n') {
+                        ": it has several lines, and one sample is expected in a datagram"
                     } else {
                         ""
                     };

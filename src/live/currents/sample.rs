@@ -71,8 +71,11 @@ pub(super) fn sample(
 }
 
 /// Numbers between commas, semicolons or blanks; one of the first two may end the line. `None` where one is lacking:
-/// those behind it would count for other coils.
+/// those behind it would count for other coils; and of several lines, which would be of one time.
 fn bare_numbers(text: &str) -> Option<Vec<f64>> {
+    if text.contains('\n') {
+        return None;
+    }
     let mut all = Vec::new();
     for place in text.strip_suffix([',', ';']).unwrap_or(text).split([',', ';']) {
         let before = all.len();
@@ -108,6 +111,8 @@ mod tests {
         assert_eq!(of("0.1;\t0.2;").unwrap().current_a, [0.1, 0.2]);
         // The last would be the second coil's.
         assert_eq!([of("0.1,,0.2"), of(",0.1"), of("0.1, ,0.2"), of(",")], [None, None, None, None]);
+        // Two samples, the second with the time of the first, or as many more coils.
+        assert_eq!([of("0.1,0.2\n0.3,0.4\n"), of("0.1\r\n0.2")], [None, None]);
     }
 
     /// A further column of times is no coil, and a row without all cells no sample.

@@ -7,8 +7,8 @@
 //! (`one_clock`).
 //!
 //! A camera that is lost, or silent for [`SILENCE`], is reopened, trying once a second, and set up as before; the
-//! interruption is counted, but the frames lost in it are unknown. Those lost before it are in the gap of the
-//! frame after it.
+//! interruption is counted. The frames lost in it are in the gap of the frame after it where the camera's clock went on,
+//! otherwise only those lost before it.
 
 use super::super::counter::{Count, FrameCounter, Wrap};
 use super::super::host::{ClockFit, HostClock};
@@ -85,6 +85,8 @@ pub struct Camera {
     missing: u32,
     faults: StreamFaults,
     unstamped_named: bool,
+    /// The stamps before an interruption, until it is over.
+    before: Option<StampWatch>,
 }
 
 /// State of one connection.
@@ -134,6 +136,7 @@ impl Camera {
             missing: 0,
             faults: StreamFaults::default(),
             unstamped_named: false,
+            before: None,
         })
     }
 
@@ -182,9 +185,17 @@ impl Camera {
             Timestamp { ns: arrival_ns, clock: Clock::HostArrival }
         });
         let mut gap = std::mem::take(&mut self.missing);
+        let anew = taken.stamp.is_some_and(|stamp| self.of_run.begins_anew(stamp.ns, arrival_ns, &self.name));
+        if anew {
+            self.fit.begin_anew();
+        }
+        // What the counter of another connection cannot tell.
+        if let Some(mut stamps) = self.before.take().filter(|_| !anew) {
+            gap = gap.max(stamps.clear_gap(stamp.ns, self.seq, &mut self.faults));
+        }
         if let Some(session) = &mut self.session {
             let by_stamps = session.stamps.clear_gap(stamp.ns, self.seq, &mut self.faults);
-            if session.connection.driver_counts() {
+            if session.connection.driver_counts() && !anew {
                 gap = gap.max(by_stamps);
             }
         }
@@ -199,7 +210,7 @@ impl Camera {
         let host = HostTime { stamp_ns: host.stamp_ns.max(self.last_host_ns.saturating_add(1)), ..host };
         self.last_host_ns = host.stamp_ns;
         // That of a frame without a stamp is another clock, which goes on.
-        let of_camera = taken.stamp.map(|stamp| self.of_run.stamp_ns(stamp.ns, host, &self.name));
+        let of_camera = taken.stamp.map(|stamp| self.of_run.stamp_ns(stamp.ns, host.stamp_ns));
         let stamp = Timestamp { ns: of_camera.unwrap_or(stamp.ns), ..stamp };
         let seq = self.seq;
         self.seq += 1;
@@ -223,7 +234,9 @@ impl FrameSource for Camera {
                     tracing::warn!("{}: the camera is lost ({reason}); waiting for it to come back", self.name);
                     self.faults.interruptions += 1;
                     self.of_run.interrupt();
-                    self.session = None;
+                    if let Some(session) = self.session.take() {
+                        self.before.get_or_insert(session.stamps);
+                    }
                 }
             }
         }

@@ -7,23 +7,29 @@
 //! Method. Of the first frame after an interruption, the time since the last frame by the camera's clock is compared
 //! with that by the host's, up to its arrival. Where they differ by more than arrivals vary, or the camera's went back,
 //! its clock began anew: all stamps from there on are shifted by what makes them agree with the host's. A clock that
-//! goes back by more than that without an interruption began anew as well: the sender was restarted faster than its
-//! absence was noticed.
+//! goes back by more than that without an interruption, or ahead of the host's, began anew as well: the sender was
+//! restarted faster than its absence was noticed, or its clock was set. (Ahead only where frames came at the pace of
+//! their stamps until then: a recording that is sent as fast as it goes has holes.) Where the shift before suits again, a
+//! single stamp was wrong.
 //!
 //! Cannot tell: how long such an interruption was, better than arrivals vary (some hundredths of a second, with
 //! network streams some tenths); a clock that was set by less than [`ANEW_NS`].
 
-use super::super::HostTime;
 use super::super::times::seconds;
 
 /// More than arrivals of the first frame after an interruption vary, nanoseconds.
 const ANEW_NS: i64 = 2_000_000_000;
+/// Time of the stamps after which their pace is known, nanoseconds.
+const PACE_NS: i64 = 1_000_000_000;
 
 /// The clock of a run.
 #[derive(Debug, Default)]
 pub(super) struct OneClock {
-    /// Added to the stamps since the clock last began anew.
+    /// Added to the stamps since the clock last began anew, and before.
     shift_ns: i64,
+    earlier_shift_ns: i64,
+    /// Stamp and the host's time of the first frame since.
+    since: Option<(i64, i64)>,
     last: Option<Last>,
     interrupted: bool,
 }
@@ -44,26 +50,46 @@ impl OneClock {
         self.interrupted = true;
     }
 
-    /// The stamp on the clock of the run of a frame that is stamped `stamp_ns`; `name` of the source, for messages.
-    pub(super) fn stamp_ns(&mut self, stamp_ns: i64, host: HostTime, name: &str) -> i64 {
-        if let Some(last) = self.last {
-            let by_camera = stamp_ns.saturating_sub(last.stamp_ns);
-            let by_host = host.arrival_ns.saturating_sub(last.host_ns).max(1);
-            let differ = by_camera.saturating_sub(by_host).saturating_abs() > ANEW_NS;
-            let anew = if self.interrupted { by_camera <= 0 || differ } else { by_camera < -ANEW_NS };
-            if anew {
-                self.shift_ns = last.shifted_ns.saturating_add(by_host).saturating_sub(stamp_ns);
-                tracing::warn!(
-                    "{name}: its clock began anew: from here on {:.3} s are added to its stamps, so that they continue \
-                     by the host's clock",
-                    seconds(self.shift_ns)
-                );
-            }
+    /// Whether the clock began anew with the next frame, which is stamped `stamp_ns` and arrived at `arrival_ns`; `name`
+    /// of the source, for messages.
+    pub(super) fn begins_anew(&mut self, stamp_ns: i64, arrival_ns: i64, name: &str) -> bool {
+        let interrupted = std::mem::take(&mut self.interrupted);
+        let Some(last) = self.last else { return false };
+        let by_camera = stamp_ns.saturating_sub(last.stamp_ns);
+        let by_host = arrival_ns.saturating_sub(last.host_ns).max(1);
+        let ahead = by_camera.saturating_sub(by_host);
+        let goes_back = if interrupted { by_camera <= 0 || ahead < -ANEW_NS } else { by_camera < -ANEW_NS };
+        let goes_ahead = ahead > ANEW_NS && (interrupted || self.is_paced());
+        if !goes_back && !goes_ahead {
+            return false;
         }
-        self.interrupted = false;
+        self.since = None;
+        let next_ns = last.shifted_ns.saturating_add(by_host);
+        let by_earlier = stamp_ns.saturating_add(self.earlier_shift_ns);
+        let suits = by_earlier > last.shifted_ns && by_earlier.saturating_sub(next_ns).saturating_abs() < ANEW_NS;
+        let shift_ns = if suits { self.earlier_shift_ns } else { next_ns.saturating_sub(stamp_ns) };
+        self.earlier_shift_ns = std::mem::replace(&mut self.shift_ns, shift_ns);
+        tracing::warn!(
+            "{name}: its clock began anew: from here on {:.3} s are added to its stamps, so that they continue by the \
+             host's clock",
+            seconds(self.shift_ns)
+        );
+        true
+    }
+
+    /// The stamp on the clock of the run of the next frame, which was taken at `host_ns`.
+    pub(super) fn stamp_ns(&mut self, stamp_ns: i64, host_ns: i64) -> i64 {
         let shifted_ns = stamp_ns.saturating_add(self.shift_ns);
-        self.last = Some(Last { stamp_ns, shifted_ns, host_ns: host.stamp_ns });
+        self.since.get_or_insert((stamp_ns, host_ns));
+        self.last = Some(Last { stamp_ns, shifted_ns, host_ns });
         shifted_ns
+    }
+
+    /// Whether frames came about as fast as they were taken.
+    fn is_paced(&self) -> bool {
+        let (Some((stamp_ns, host_ns)), Some(last)) = (self.since, self.last) else { return false };
+        let by_camera = last.stamp_ns.saturating_sub(stamp_ns);
+        by_camera >= PACE_NS && last.host_ns.saturating_sub(host_ns) >= by_camera / 2
     }
 }
 
@@ -77,7 +103,8 @@ mod tests {
     fn a_clock_that_began_anew_is_continued_by_the_hosts() {
         let mut clock = OneClock::default();
         let at = |clock: &mut OneClock, stamp: i64, host: i64| {
-            clock.stamp_ns(stamp, HostTime { arrival_ns: host, stamp_ns: host }, "camera")
+            clock.begins_anew(stamp, host, "camera");
+            clock.stamp_ns(stamp, host)
         };
         assert_eq!((at(&mut clock, 5 * S, 100 * S), at(&mut clock, 6 * S, 101 * S)), (5 * S, 6 * S));
         // Reordered frames are no new clock.
@@ -93,12 +120,32 @@ mod tests {
         clock.interrupt();
         assert_eq!(at(&mut clock, S * 60 / 10, 126 * S), 30 * S + 9);
         // The last before a silence is read late: its time is by the line of those before.
-        let late = HostTime { arrival_ns: 130 * S, stamp_ns: 127 * S };
-        assert_eq!(clock.stamp_ns(7 * S, late, "camera"), 31 * S + 9);
+        assert!(!clock.begins_anew(7 * S, 130 * S, "camera"));
+        assert_eq!(clock.stamp_ns(7 * S, 127 * S), 31 * S + 9);
         clock.interrupt();
         assert_eq!(at(&mut clock, S * 14 / 10, 137 * S), 41 * S + 9);
         // Begun anew at once, without an interruption that was noticed.
         let _ = at(&mut clock, 9 * S, 144 * S + S * 6 / 10);
         assert_eq!(at(&mut clock, 0, 145 * S + S * 6 / 10), 49 * S + S * 6 / 10 + 9);
+    }
+
+    #[test]
+    fn a_clock_that_goes_ahead_of_the_hosts_was_set() {
+        let mut clock = OneClock::default();
+        let mut at = |stamp: i64, host: i64| (clock.begins_anew(stamp, host, "camera"), clock.stamp_ns(stamp, host));
+        assert_eq!([at(5 * S, 100 * S), at(6 * S, 101 * S)], [(false, 5 * S), (false, 6 * S)]);
+        // A day ahead in one stamp alone: the next has its own again, to the nanosecond.
+        assert_eq!(at(86_407 * S, 102 * S + 7), (true, 7 * S + 7));
+        assert_eq!(at(8 * S, 103 * S + 3), (true, 8 * S));
+        assert_eq!(at(9 * S, 104 * S), (false, 9 * S));
+        // Ahead from here on.
+        assert_eq!([at(3610 * S, 105 * S), at(3611 * S, 106 * S)], [(true, 10 * S), (false, 11 * S)]);
+        // Frames that are lost are no new clock, nor are those that have waited.
+        assert_eq!([at(3651 * S, 146 * S), at(3652 * S, 155 * S)], [(false, 51 * S), (false, 52 * S)]);
+        // A recording that is sent faster than it was taken has a hole.
+        let mut clock = OneClock::default();
+        let mut at = |stamp: i64, host: i64| (clock.begins_anew(stamp, host, "camera"), clock.stamp_ns(stamp, host));
+        let fast = [at(5 * S, 100 * S), at(6 * S, 100 * S + 9), at(7 * S, 100 * S + 20), at(20 * S, 100 * S + 30)];
+        assert_eq!(fast, [5, 6, 7, 20].map(|s| (false, s * S)));
     }
 }

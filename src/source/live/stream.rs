@@ -2,9 +2,10 @@
 //! (`-`).
 //!
 //! A network stream that ends or falls silent is reopened, trying once a second, until it is back or the run is
-//! stopped. Stamps that restart are continued (`one_clock`): the gap before its first frame is unknown and counts as
-//! 0, the interruption is counted ([`StreamFaults::interruptions`]). Standard input ends for good. A stream that is
-//! joined between two key frames begins with the next.
+//! stopped, and the interruption is counted ([`StreamFaults::interruptions`]). Where its clock went on, the frames lost
+//! meanwhile are the gap of its first frame; stamps that restart are continued (`one_clock`), and what was lost is
+//! unknown and counts as 0. Standard input ends for good. A stream that is joined between two key frames begins with the
+//! next.
 //!
 //! A stream of bare pictures (Motion JPEG over HTTP, raw H.264) has no times, and those that libav gives it are
 //! invented: its frames are stamped on arrival ([`Clock::HostArrival`]), and lost ones show only as long steps, as of
@@ -45,6 +46,8 @@ pub struct Stream {
     arrivals: Arrivals,
     stop: Arc<AtomicBool>,
     seq: u64,
+    /// The stamps before an interruption, until it is over.
+    before: Option<StampWatch>,
     /// Faults of inputs that have ended.
     past: StreamFaults,
 }
@@ -91,6 +94,7 @@ impl Stream {
             arrivals,
             stop,
             seq: 0,
+            before: None,
             past,
         })
     }
@@ -175,8 +179,17 @@ impl FrameSource for Stream {
                 Ok(Some((mut frame, arrival))) => {
                     let arrival_ns = self.clock.at_ns(arrival.unwrap_or_else(Instant::now));
                     frame.host = Some(if self.input.as_ref().is_none_or(VideoFile::has_times) {
+                        let before = self.before.take();
+                        if self.of_run.begins_anew(frame.stamp.ns, arrival_ns, &self.name) {
+                            // Stamps of two clocks do not tell what was lost between them.
+                            frame.gap = 0;
+                            self.fit.begin_anew();
+                        } else if let Some(mut stamps) = before {
+                            let lost = stamps.gap(frame.stamp.ns, self.seq, &mut self.past);
+                            frame.gap = frame.gap.saturating_add(lost);
+                        }
                         let host = self.mapped(&frame, arrival_ns);
-                        frame.stamp.ns = self.of_run.stamp_ns(frame.stamp.ns, host, &self.name);
+                        frame.stamp.ns = self.of_run.stamp_ns(frame.stamp.ns, host.stamp_ns);
                         host
                     } else {
                         frame.gap = self.arrivals.lost(arrival_ns, self.seq, &mut self.past);
@@ -194,7 +207,11 @@ impl FrameSource for Stream {
                 Err(error) => error.to_string(),
             };
             tracing::warn!("{}: the stream is interrupted ({reason}); waiting for it to come back", self.name);
-            self.past.add(self.input.take().map(|input| input.faults()).unwrap_or_default());
+            if let Some(input) = self.input.take() {
+                self.past.add(input.faults());
+                let stamps = input.into_stamps();
+                self.before.get_or_insert(stamps);
+            }
             self.past.interruptions += 1;
             self.restart_named = false;
             self.of_run.interrupt();
