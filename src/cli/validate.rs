@@ -159,8 +159,8 @@ impl Args {
         Options { skip: self.skip, marker: self.marker.clone(), average, interpolation }
     }
 
-    /// Names of the tables of points, one per run in the order of the runs: two runs of one pause time have a number
-    /// each.
+    /// Names of the tables of points, one per run in the order in which they are given: two runs of one pause time have a
+    /// number each.
     fn tables_of_points(&self) -> Vec<String> {
         let mut seen: BTreeMap<String, u32> = BTreeMap::new();
         let name = |pause_s: &f64| {
@@ -206,8 +206,10 @@ impl Args {
         save(TABLE_2, &validation.table())?;
         save(REPORT, &validation::page(validation, &self.settings(), line))?;
         let names = self.tables_of_points();
-        for (run, name) in validation.runs.iter().zip(names) {
-            save(&name, &run.points_csv())?;
+        for run in &validation.runs {
+            if let Some(name) = names.get(run.given) {
+                save(name, &run.points_csv())?;
+            }
         }
         Ok(())
     }

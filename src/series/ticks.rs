@@ -23,6 +23,8 @@ pub struct Ticks {
     pub modulus: u64,
     /// Usual time between frames, nanoseconds.
     pub interval_ns: i64,
+    /// Longest time between two frames from the first change of the count to the last, nanoseconds.
+    pub longest_ns: i64,
 }
 
 impl Recording {
@@ -71,19 +73,49 @@ impl Recording {
                 times_ns.push(from_ns.saturating_add((apart_ns * part).round() as i64));
             }
         }
+        let changes = || pairs().enumerate().filter(|(_, (from, to))| from.1 != to.1).map(|(k, _)| k);
+        let (first, last) = (changes().next().unwrap_or(0), changes().next_back().unwrap_or(0));
+        let within = pairs().skip(first).take(last - first + 1);
+        let longest_ns = within.map(|(from, to)| to.0.saturating_sub(from.0)).max().unwrap_or(0);
         let mut intervals: Vec<i64> = pairs().map(|(a, b)| b.0.saturating_sub(a.0)).collect();
         intervals.sort_unstable();
         let interval_ns = intervals.get(intervals.len() / 2).copied().unwrap_or(0);
-        Ok(Some(Ticks { times_ns, modulus, interval_ns }))
+        Ok(Some(Ticks { times_ns, modulus, interval_ns, longest_ns }))
     }
 }
 
 impl Ticks {
     /// Whether commands this far apart can be resolved: fewer come between two frames than the modulus.
     pub fn resolves(&self, pause_ns: i64) -> bool {
+        self.count_lasts(self.interval_ns, pause_ns)
+    }
+
+    /// Whether that also holds where frames are lacking.
+    pub fn resolves_all(&self, pause_ns: i64) -> bool {
+        self.count_lasts(self.longest_ns, pause_ns)
+    }
+
+    fn count_lasts(&self, apart_ns: i64, pause_ns: i64) -> bool {
         // A late frame may include one more.
-        self.interval_ns.saturating_add(pause_ns)
-            < pause_ns.saturating_mul(i64::try_from(self.modulus).unwrap_or(i64::MAX))
+        apart_ns.saturating_add(pause_ns) < pause_ns.saturating_mul(i64::try_from(self.modulus).unwrap_or(i64::MAX))
+    }
+
+    /// σ of the start by a single change, nanoseconds: it came at any time between two frames.
+    pub fn first_sd_ns(&self) -> f64 {
+        self.interval_ns as f64 / 12_f64.sqrt()
+    }
+
+    /// σ of the start of [`Ticks::evenly`], nanoseconds. Where pauses and frames beat, only so many places in a frame
+    /// occur, and the line may be off by half of what lies between them.
+    pub fn evenly_sd_ns(&self, commands: usize, pause_ns: f64) -> f64 {
+        let count = self.times_ns.len().min(commands).max(1);
+        let frames = pause_ns / self.interval_ns.max(1) as f64;
+        let beats = |places: &usize| {
+            let off = frames * *places as f64;
+            (off - off.round()).abs() < 0.5 / (count / places) as f64
+        };
+        let places = (1..count).find(beats).unwrap_or(count);
+        self.first_sd_ns() * (2.0 / (count as f64).sqrt()).max(1.0 / places as f64)
     }
 
     /// Start and pause (nanoseconds) of `commands` evenly spaced commands, from the first: a line through their times.
@@ -104,5 +136,19 @@ impl Ticks {
         let slope = points.iter().map(|p| (p.0 - mean_k) * (p.1 - mean_t)).sum::<f64>() / square;
         let start = first.saturating_add((mean_t - slope * mean_k).round() as i64);
         (points.len() > 1).then_some((start, slope))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_pauses_and_frames_beat_many_ticks_tell_no_more_than_few() {
+        let ticks = Ticks { times_ns: vec![0; 800], modulus: 4, interval_ns: 16_666_667, longest_ns: 16_666_667 };
+        let sd_ms = |pause_ms: f64| ticks.evenly_sd_ns(800, pause_ms * 1e6) * 1e-6;
+        // 1.2 frames: five places in a frame. 1.203: all.
+        assert!((sd_ms(20.0) - 16.667 / 12_f64.sqrt() / 5.0).abs() < 1e-3, "{}", sd_ms(20.0));
+        assert!((sd_ms(20.05) - 16.667 / 12_f64.sqrt() * 2.0 / 800_f64.sqrt()).abs() < 1e-3, "{}", sd_ms(20.05));
     }
 }

@@ -14,7 +14,9 @@ pub(super) fn note(run: &Run) -> Option<String> {
     // The phase of another motion means nothing.
     run.lag.filter(|lag| lag.correlation >= WEAK_CORRELATION)?;
     let phase_deg = run.phase_deg?;
-    let sd_deg = run.response_sd.map(f64::to_degrees);
+    // A start that may be a frame late explains it.
+    run.start_sd_s?;
+    let sd_deg = run.phase_sd().map(f64::to_degrees);
     (phase_deg > LEAST_DEG && sd_deg.is_none_or(|sd_deg| phase_deg > SIGNIFICANT_SD * sd_deg)).then(|| {
         format!(
             "the motion leads the commands by {phase_deg:.2}°{}, which no catheter does: is the start of the commands \

@@ -82,8 +82,8 @@ pub(crate) fn validate(
         );
         return Err(ValidateError::Path { path: path.file, problem });
     }
-    let mut runs =
-        observed.iter().map(|observed| run::evaluate(&path, observed, &options)).collect::<Result<Vec<_>, _>>()?;
+    let of_run = |(given, observed)| run::evaluate(&path, observed, &options).map(|run| Run { given, ..run });
+    let mut runs = observed.iter().enumerate().map(of_run).collect::<Result<Vec<_>, _>>()?;
     // By rising frequency.
     runs.sort_by(|a, b| b.pause_s.total_cmp(&a.pause_s));
     let mut phases: Vec<Option<f64>> = runs.iter().map(|run| run.phase_deg).collect();

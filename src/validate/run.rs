@@ -20,11 +20,14 @@ use crate::series::{Frame, Recording};
 use crate::source::times::seconds;
 use crate::vetoes::VETOED;
 use nalgebra::Point3;
+use std::f64::consts::TAU;
 use std::path::PathBuf;
 
 /// One run evaluated.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Run {
+    /// Its place among the runs that were given, from 0.
+    pub given: usize,
     /// Its file.
     pub file: PathBuf,
     /// The marker that followed the path.
@@ -37,6 +40,8 @@ pub(crate) struct Run {
     pub start_ns: i64,
     /// How that is known.
     pub start_from: StartFrom,
+    /// Its σ, seconds, by ticks of the commands, else 0; `None` where it is not known.
+    pub start_sd_s: Option<f64>,
     /// Correlation with the path at a start that was searched for.
     pub start_correlation: Option<f64>,
     /// Whether points are interpolated, because the pause is shorter than the frame interval, instead of averaged.
@@ -96,7 +101,8 @@ impl Run {
     /// σ of the phase, radians, where it means something.
     pub(super) fn phase_sd(&self) -> Option<f64> {
         self.lag.filter(|lag| lag.correlation >= WEAK_CORRELATION)?;
-        self.phase_deg.and(self.response_sd)
+        let by_start = TAU * self.frequency_hz * self.start_sd_s?;
+        Some(self.phase_deg.and(self.response_sd)?.hypot(by_start))
     }
 
     /// σ of the magnitude, in parts of it: what noise makes of it, and by how much noise makes the motion too large.
@@ -122,7 +128,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
 
     // 1. the frames, and when the commands were given
     let Marked { marker, name, samples } = marked(recording, options)?;
-    let Timing { window, start_from, start_correlation, note, inside, interval_s } =
+    let Timing { window, start_from, start_correlation, note, inside, interval_s, start_sd_s } =
         timing(path, observed, &samples, options)?;
     said.extend(note);
     if start_from == StartFrom::Search {
@@ -195,12 +201,14 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     said.extend(off_plane);
     said.extend(lone.map(|lone| lone.note(sd.is_some() && sound_sd.is_none())));
     Ok(Run {
+        given: 0,
         file: recording.path.clone(),
         marker: name,
         pause_s: seconds(pause_ns),
         frequency_hz: 1.0 / period_s,
         start_ns: window.start_ns,
         start_from,
+        start_sd_s,
         start_correlation,
         interpolated,
         interval_s,

@@ -59,22 +59,38 @@ const MAX_UNLIKE: f64 = 0.05;
 /// Pauses from ticks that differ from the requested one by more than this fraction belong to other commands.
 const PAUSE_TOLERANCE: f64 = 0.05;
 
-/// Start and pause (nanoseconds) from the frames' ticks, and a note about them; `None` without ticks.
-pub(super) fn from_ticks(
-    recording: &Recording,
-    pause_ns: i64,
-    commands: usize,
-) -> Result<Option<(i64, i64, Option<String>)>, SeriesError> {
+/// Start and pause, nanoseconds, from the frames' ticks.
+#[derive(Debug, Clone)]
+pub(super) struct Ticked {
+    pub start_ns: i64,
+    /// σ of the start; `None` where it may be off by a whole frame.
+    pub start_sd_ns: Option<f64>,
+    pub pause_ns: i64,
+    pub note: Option<String>,
+}
+
+/// The commands by the frames' ticks; `None` without ticks.
+pub(super) fn from_ticks(recording: &Recording, pause_ns: i64, commands: usize) -> Result<Option<Ticked>, SeriesError> {
     let Some(ticks) = recording.ticks()? else { return Ok(None) };
-    let Some(first_ns) = ticks.times_ns.first().copied() else { return Ok(None) };
+    let Some(start_ns) = ticks.times_ns.first().copied() else { return Ok(None) };
+    let first = |note: Option<String>| Ticked { start_ns, start_sd_ns: Some(ticks.first_sd_ns()), pause_ns, note };
     if !ticks.resolves(pause_ns) {
         let note = format!(
-            "a count of commands modulo {} aliases at this pause: only the start is taken from it",
+            "a count of commands modulo {} aliases at this pause: only the start is taken from it, which may be a frame \
+             late; the phase has no σ",
             ticks.modulus
         );
-        return Ok(Some((first_ns, pause_ns, Some(note))));
+        return Ok(Some(Ticked { start_sd_ns: None, ..first(Some(note)) }));
     }
-    let Some((start_ns, measured_ns)) = ticks.evenly(commands) else { return Ok(Some((first_ns, pause_ns, None))) };
+    if !ticks.resolves_all(pause_ns) {
+        let note = format!(
+            "{:.3} s without a frame are too long for a count of commands modulo {}: only the start is taken from it",
+            seconds(ticks.longest_ns),
+            ticks.modulus
+        );
+        return Ok(Some(first(Some(note))));
+    }
+    let Some((start_ns, measured_ns)) = ticks.evenly(commands) else { return Ok(Some(first(None))) };
     let off = measured_ns / pause_ns as f64 - 1.0;
     if off.abs() > PAUSE_TOLERANCE {
         let note = format!(
@@ -83,11 +99,12 @@ pub(super) fn from_ticks(
             measured_ns * 1e-6,
             pause_ns as f64 * 1e-6
         );
-        return Ok(Some((first_ns, pause_ns, Some(note))));
+        return Ok(Some(first(Some(note))));
     }
     let fewer = (ticks.times_ns.len() < commands)
         .then(|| format!("the ticks count {} commands of {commands}", ticks.times_ns.len()));
-    Ok(Some((start_ns, measured_ns.round() as i64, fewer)))
+    let start_sd_ns = Some(ticks.evenly_sd_ns(commands, measured_ns));
+    Ok(Some(Ticked { start_ns, start_sd_ns, pause_ns: measured_ns.round() as i64, note: fewer }))
 }
 
 /// The start by the coil currents, camera time, and a note about it; `None` if they never change.

@@ -60,6 +60,8 @@ pub(super) struct Timing<'a> {
     pub(super) inside: Vec<&'a Frame>,
     /// Usual time between these frames, seconds.
     pub(super) interval_s: f64,
+    /// σ of the start, seconds, where the way to find it has one; `None` where that is not known.
+    pub(super) start_sd_s: Option<f64>,
 }
 
 pub(super) fn timing<'a>(
@@ -80,9 +82,10 @@ pub(super) fn timing<'a>(
         Some(_) => None,
         None => start_time::from_ticks(recording, pause_ns, path.commands())?,
     };
-    let mut note = by_ticks.as_ref().and_then(|(_, _, note)| note.clone());
-    let pause_ns = by_ticks.as_ref().map_or(pause_ns, |(_, pause_ns, _)| *pause_ns);
-    let ticked = by_ticks.map(|(ns, ..)| (ns, StartFrom::Ticks));
+    let mut note = by_ticks.as_ref().and_then(|ticked| ticked.note.clone());
+    let pause_ns = by_ticks.as_ref().map_or(pause_ns, |ticked| ticked.pause_ns);
+    let start_sd_s = by_ticks.as_ref().map_or(Some(0.0), |ticked| Some(ticked.start_sd_ns? * 1e-9));
+    let ticked = by_ticks.map(|ticked| (ticked.start_ns, StartFrom::Ticks));
     let logged = || {
         let (ns, about) = start_time::from_currents(&recording.currents, path, pause_ns)?;
         note = about;
@@ -136,7 +139,7 @@ pub(super) fn timing<'a>(
             seconds(window.end_ns())
         ),
     })?;
-    Ok(Timing { window, start_from, start_correlation, note, inside, interval_s })
+    Ok(Timing { window, start_from, start_correlation, note, inside, interval_s, start_sd_s })
 }
 
 /// Rejects a record that ends before the middle of the last period: either there are fewer periods, and what comes

@@ -227,7 +227,13 @@ fn ticks_give_start_and_pause() {
     assert!((drifted.phase_deg.unwrap() - deg).abs() > 1.0, "{:?} {deg}", drifted.phase_deg);
     // Modulo 4 cannot resolve commands 4 ms apart.
     let aliased = start_time::from_ticks(&recording, 4_000_000, 800).unwrap().unwrap();
-    assert!(aliased.2.unwrap().contains("modulo 4 aliases at this pause"));
+    assert!(aliased.note.unwrap().contains("modulo 4 aliases at this pause") && aliased.start_sd_ns.is_none());
+    // Six lost frames hide whole counts.
+    let mut holed = recording.clone();
+    holed.frames.drain(900..918);
+    let run = evaluate(&holed, 0.05, None);
+    assert!(run.notes.iter().any(|note| note.contains("are too long for a count")), "{:?}", run.notes);
+    assert!((run.start_ns - START_NS).abs() < 17_000_000 && run.start_sd_s.unwrap() > 4e-3, "{run:?}");
     // A count that never changes is not a clock.
     for frame in &mut recording.frames {
         frame.tick = Some(1);
