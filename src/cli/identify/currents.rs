@@ -52,14 +52,16 @@ pub(super) fn warn_of_slow_log(source: &str, held: &Held, period_s: f64) {
     }
 }
 
-/// Warns of currents that change so much between frames that a model of their means has too large a gain.
-pub(super) fn warn_of_changes(source: &str, held: &[Held], observed: &Observed, delay_s: f64) {
+/// Warns of currents that change so much between frames that a model of their means has too large a gain; returns
+/// whether they do.
+pub(super) fn warn_of_changes(source: &str, held: &[Held], observed: &Observed, delay_s: f64) -> bool {
     let part = |held: &Held| {
         let mut series = observed.series(held, None, delay_s).ok()?;
         Some(observed.add_within(&mut series, held, delay_s))
     };
     let largest = held.iter().filter_map(part).filter(|part| part.is_finite()).max_by(f64::total_cmp);
-    if let Some(part) = largest.filter(|part| *part > TOO_LARGE) {
+    let largest = largest.filter(|part| *part > TOO_LARGE);
+    if let Some(part) = largest {
         tracing::warn!(
             "{source}: currents change between frames, whose mean is taken as held: gains are too large by about {:.1} \
              %, more where the currents change fast and less elsewhere; more frames per second, or slower currents, \
@@ -67,4 +69,5 @@ pub(super) fn warn_of_changes(source: &str, held: &[Held], observed: &Observed, 
             part * 100.0
         );
     }
+    largest.is_some()
 }

@@ -31,7 +31,8 @@ pub(super) fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Op
     let held = observed.commands(&source, &currents, args.coil).map_err(Failure::usage)?;
     let end_s = observed.time_s.last().copied().unwrap_or_default();
     let lost_some = table.is_none() && recording.currents_lost as f64 > FEW_LACKING * currents.len() as f64;
-    let doubtful = currents::warn_of_values(&source, std::slice::from_ref(&held), end_s, plant.is_some()) || lost_some;
+    let mut doubtful =
+        currents::warn_of_values(&source, std::slice::from_ref(&held), end_s, plant.is_some()) || lost_some;
     warn_of_frames(args, &name, &observed, (&source, &held));
     let middle_s = 0.5 * end_s;
     let apparent = apparent_delay(args, &observed, &held, plant, own_clock.then_some(middle_s));
@@ -54,7 +55,10 @@ pub(super) fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Op
     }
     let series = observed.series(&held, plant, delay_s).map_err(Failure::usage)?;
     let mut series = Series { fit_zero: args.fits_zero(), ..series };
-    if !args.resample {
+    if args.resample || args.decimate.is_some_and(|factor| factor > 1) {
+        // What they do within frames is not taken off then.
+        doubtful |= currents::warn_of_changes(&source, std::slice::from_ref(&held), &observed, delay_s);
+    } else {
         observed.add_within(&mut series, &held, delay_s);
     }
     let lost = series.output.len() - observed.theta_rad.len();

@@ -367,7 +367,10 @@ fn reduced_differs(models: &mut [Modelled], excited_hz: (f64, f64)) -> Option<Di
     let refined = models.iter().find(|m| m.role == Role::Refined)?.clone();
     let reduced = models.iter_mut().find(|m| m.role == Role::Reduced && m.covariance.is_some())?;
     let sigmas = refined.covariance.as_ref().map(|_| {
-        let in_band = |p: &BodePoint| (excited_hz.0..=excited_hz.1).contains(&p.frequency_hz);
+        // Of a band without a point, the nearest one.
+        let beside = |p: &BodePoint| (excited_hz.0 - p.frequency_hz).max(p.frequency_hz - excited_hz.1).max(0.0);
+        let least = refined.bode.iter().map(beside).fold(f64::INFINITY, f64::min);
+        let in_band = |p: &BodePoint| beside(p) <= least;
         let both = reduced.bode.iter().zip(&refined.bode).filter(|(p, _)| in_band(p));
         let off = both.filter_map(|(p, q)| {
             let (gain_sd, phase_sd) = p.sd?;
@@ -602,7 +605,10 @@ fn intervals(
             continue;
         }
         for (k, estimate) in model.bandwidths.iter_mut().enumerate() {
-            estimate.interval_hz = middle_95(draws.iter().filter_map(|d| d.get(k).copied().flatten()).collect());
+            // One without a bandwidth lies above all others.
+            let hz = draws.iter().filter_map(|d| Some(d.get(k)?.unwrap_or(f64::INFINITY))).collect();
+            let interval = middle_95(hz).filter(|(_, high)| high.is_finite());
+            estimate.interval_hz = interval.filter(|_| estimate.bandwidth.frequency_hz.is_some());
         }
     }
     (full_draws.len(), refined_draws.len())

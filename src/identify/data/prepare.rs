@@ -74,7 +74,8 @@ impl Trend {
         Self { input: line(|s| &s.input), output: line(|s| &s.output) }
     }
 
-    /// Removes it. What was taken off input and output are not at rest together: the difference is left to be fitted.
+    /// Removes it. What was taken off input and output are not at rest together: the difference is left to be fitted, and
+    /// so is the state at the beginning.
     pub(crate) fn remove(&self, segment: &mut Segment, period_s: f64) {
         let start_s = segment.start_s;
         let off = |signal: &mut [f64], line: Line| {
@@ -82,6 +83,7 @@ impl Trend {
         };
         off(&mut segment.input, self.input);
         off(&mut segment.output, self.output);
+        segment.from_rest = false;
         // What remains of the zero is an offset of the output alone.
         segment.by_zero = Some(vec![0.0; segment.len()]);
         segment.zero_drifts = self.input.slope != 0.0 || self.output.slope != 0.0;

@@ -200,26 +200,36 @@ pub(crate) fn estimate(
     if delay_of(as_well.first()?).abs() > MAX_DELAY * period_s {
         return None;
     }
-    let nearest =
-        (0..as_well.len()).min_by(|a, b| delay_of(&as_well[*a]).abs().total_cmp(&delay_of(&as_well[*b]).abs()))?;
-    let mut best = as_well.remove(nearest);
-    let others_s: Vec<f64> = as_well.iter().map(delay_of).collect();
-    // 3. the same with what the commands do between samples, by the models found
-    let changes = between_samples::is_in(&segments(best.at.timing, Inputs::Changing)?);
-    let mut answer = None;
-    for pass in 0..if changes { MAX_PASSES } else { 0 } {
-        let own = Continuous::of(&best.at.model, period_s).and_then(|model| Answer::of(&model, period_s));
-        let Some(own) = own else { break };
-        let without = |timing| without(&segments, timing, &own);
-        let search = Search { period_s, own_clock, segments: &without };
-        let Some(next) = search.run(best.at.clone(), FINAL_STEPS) else { break };
-        let moved_s = (delay_of(&next) - delay_of(&best)).abs();
-        best = next;
-        answer = Some(own);
-        if pass > 0 && moved_s < SETTLED * period_s {
-            break;
+    // 3. the same with what the commands do between samples, by the models found: it may tell them apart
+    let changes = between_samples::is_in(&segments(as_well.first()?.at.timing, Inputs::Changing)?);
+    let refined = |mut best: Lowest<State>| {
+        let mut answer = None;
+        for pass in 0..if changes { MAX_PASSES } else { 0 } {
+            let own = Continuous::of(&best.at.model, period_s).and_then(|model| Answer::of(&model, period_s));
+            let Some(own) = own else { break };
+            let without = |timing| without(&segments, timing, &own);
+            let search = Search { period_s, own_clock, segments: &without };
+            let Some(next) = search.run(best.at.clone(), FINAL_STEPS) else { break };
+            let moved_s = (delay_of(&next) - delay_of(&best)).abs();
+            best = next;
+            answer = Some(own);
+            if pass > 0 && moved_s < SETTLED * period_s {
+                break;
+            }
         }
-    }
+        (best, answer)
+    };
+    let mut as_well: Vec<(Lowest<State>, Option<Answer>)> = as_well.into_iter().map(refined).collect();
+    let least = as_well.iter().map(|(end, _)| end.cost).min_by(f64::total_cmp)?;
+    as_well.retain(|(end, _)| end.cost <= AS_WELL * least);
+    let away = |k: usize| delay_of(&as_well[k].0).abs();
+    let nearest = (0..as_well.len()).min_by(|a, b| away(*a).total_cmp(&away(*b)))?;
+    let (best, answer) = as_well.remove(nearest);
+    let others_s: Vec<f64> = as_well
+        .iter()
+        .map(|(end, _)| delay_of(end))
+        .filter(|other_s| (other_s - delay_of(&best)).abs() > SAME * period_s)
+        .collect();
     let Lowest { at: best, cost, .. } = best;
     let taken_s = best.timing.delay_s;
     let (first_s, last_s) = others_s.iter().fold((taken_s, taken_s), |(f, l), other| (f.min(*other), l.max(*other)));
