@@ -146,10 +146,12 @@ impl Rolling {
                 position.covariance = motion.widened(&position.covariance) + motion.over(apart_s, USUAL[0]);
             }
             if m == coil {
-                of_coil = Some((late_s, ns, shown, motion));
+                of_coil = Some((late_s, apart_s, ns, shown, motion));
             }
         }
-        let (Ok(tangent), Some((late_s, ns, shown, moving))) = (&mut estimate.tangent, of_coil) else { return };
+        let (Ok(tangent), Some((late_s, apart_s, ns, shown, moving))) = (&mut estimate.tangent, of_coil) else {
+            return;
+        };
         let later = rig.views.iter().filter_map(|view| self.later_along(view, &shown, &tangent.direction));
         let later: Vec<f64> = later.collect();
         let later = later.iter().sum::<f64>() / later.len().max(1) as f64;
@@ -160,7 +162,8 @@ impl Rolling {
         tangent.direction = (upright + motion.shift).normalize();
         let across = Matrix3::identity() - tangent.direction * tangent.direction.transpose();
         let unknown = if moving.velocity.is_none() { moving.over(later, USUAL[0]) } else { Matrix3::zeros() };
-        tangent.covariance = across * (motion.widened(&tangent.covariance) + unknown) * across;
+        let apart = motion.over(apart_s, USUAL_TURN[0]);
+        tangent.covariance = across * (motion.widened(&tangent.covariance) + unknown + apart) * across;
     }
 
     /// How much later the rows of a tube are exposed along it, seconds per metre.
@@ -286,6 +289,27 @@ mod tests {
                 assert!(k < 2 || (now.covariance - before.covariance).norm() < 1e-16, "{k}: {}", now.covariance);
             }
         }
+    }
+
+    /// One above the other: the direction is between those of two moments.
+    #[test]
+    fn views_that_show_the_coil_at_other_moments_widen_the_direction() {
+        let rig = rig(15e-3);
+        let turn_sd_rad = |apart_px: f64| {
+            let mut rolling = Rolling::of(&rig).unwrap();
+            let of_frame = |k: u64| {
+                let mut estimate = shown(&rig, Some(&rolling), k);
+                let views = estimate.markers[1].views.iter_mut().flatten();
+                views.zip([-0.5, 0.5]).for_each(|(view, part)| view.centre_px.y += part * apart_px);
+                rolling.correct(&rig, &mut estimate);
+                estimate.tangent.unwrap().covariance.trace().sqrt()
+            };
+            (0..14).map(of_frame).last().unwrap()
+        };
+        // Half of the time between them, times about the angular velocity.
+        let expected = 2.5e-3 * 0.2 * TAU * 2.0;
+        let added = (turn_sd_rad(1024.0 / 3.0).powi(2) - turn_sd_rad(0.0).powi(2)).sqrt();
+        assert!((0.5..1.5).contains(&(added / expected)), "{added} {expected}");
     }
 
     /// From the first frame on, and after a gap.

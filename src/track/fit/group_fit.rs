@@ -18,6 +18,7 @@ use crate::track::model::separation;
 use crate::track::model::stretch::{Group, groups};
 use crate::track::model::tube_image::Sweep;
 use crate::track::model::tube_shape::TubeShape;
+use crate::track::recording::long_exposure::LONGEST_EXPOSURE;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
@@ -36,6 +37,9 @@ const BLURRED_PX2: f64 = 4.0 / 12.0;
 /// standard deviations; any fit may have gone astray when it does by this factor.
 const CONTINUED_SD: f64 = 2.0;
 const UNUSUAL_RESIDUAL: f64 = 1.35;
+/// Oldest shape that tells how a picture is blurred by the way from there, seconds: a few lost frames, but not half a
+/// swing.
+const SWEEP_AGE_S: f64 = 0.14;
 
 /// A fitted group with the views it was fitted in.
 pub(in crate::track) struct Fitted {
@@ -139,9 +143,11 @@ impl GroupFitting<'_> {
     /// What a group is fitted to.
     fn fitting<'b>(&'b self, group: &'b Group, views: &[usize], share: Option<f64>) -> Fitting<'b> {
         let Self { rig, frame, model, blurs_px, margin_px, .. } = *self;
-        let sweep = self.before(group).and_then(|(before, since_s)| {
-            let share = share.or_else(|| Some(rig.camera.exposure_s? / since_s))?;
-            Some(Sweep { before: before.clone(), share })
+        let sweep = self.last(group).and_then(|last| {
+            let since_s = last.age_within_s(SWEEP_AGE_S, frame.stamp)?;
+            // Stamps may be closer together than the frames.
+            let share = share.or_else(|| Some((rig.camera.exposure_s? / since_s).min(LONGEST_EXPOSURE)))?;
+            Some(Sweep { before: last.shape.clone(), share })
         });
         Fitting {
             stretch: &group.stretch,

@@ -19,8 +19,8 @@ impl Tracker {
     /// What the motion of the coil since the last frame tells of the pictures; how far it was, pixels, if it was seen.
     pub(super) fn look_at_motion(&mut self, stamp: Timestamp, fitted: &[Fitted]) -> Option<f64> {
         let (of_coil, fit) = self.of_coil(fitted)?;
-        let ways_px = self.ways_px(stamp, of_coil, fit)?;
         self.denoised.pixel_m = fit.pixel_m();
+        let ways_px = self.ways_px(stamp, of_coil, fit)?;
         self.lag.begin(&ways_px);
         for ((v, view), way_px) in of_coil.views.iter().zip(&fit.views).zip(&ways_px) {
             let [across, _] = view.image.at_arc(0.0).axes();
