@@ -2,8 +2,9 @@
 
 use crate::source::{Frame, FrameSource, SourceError};
 
-/// Most memory that they may take together.
-const FRAME_BYTES: u64 = 400_000_000;
+/// Most memory that they may take together, but so many frames are kept at least, of which half may be left.
+const FRAME_BYTES: u64 = 1_000_000_000;
+const MIN_FRAMES: u64 = 32;
 
 /// Frames spread evenly over a recording.
 pub(crate) struct Spread {
@@ -19,15 +20,18 @@ pub(crate) struct Spread {
 
 /// At most `most` frames, spread evenly over the recording, including the first.
 pub(super) fn spread(source: &mut dyn FrameSource, most: usize) -> Result<Vec<Frame>, SourceError> {
-    Ok(spread_with(source, most, 0)?.frames)
+    Ok(read(source, most, 0, false)?.frames)
 }
 
 /// As [`spread`], including the first frame at least `after_ns` after the start.
 pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i64) -> Result<Spread, SourceError> {
+    read(source, most, after_ns, true)
+}
+
+fn read(source: &mut dyn FrameSource, most: usize, after_ns: i64, with_followers: bool) -> Result<Spread, SourceError> {
     let [width, height] = source.size_px();
-    // Each with its follower.
-    let fitting = FRAME_BYTES / (u64::from(width) * u64::from(height) * 4).max(1);
-    let most = most.min(fitting.max(4) as usize);
+    let frame_bytes = 2 * u64::from(width) * u64::from(height) * if with_followers { 2 } else { 1 };
+    let most = most.min((FRAME_BYTES / frame_bytes.max(1)).max(MIN_FRAMES) as usize);
     let mut stride = 1;
     let mut frames: Vec<(u64, Frame)> = Vec::new();
     let mut followers: Vec<(u64, Frame)> = Vec::new();
@@ -50,7 +54,7 @@ pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i
             wanted = Some(frame);
         } else if number % stride == 0 {
             frames.push((number, frame));
-        } else if number % stride == 1 {
+        } else if number % stride == 1 && with_followers {
             followers.push((number, frame));
         }
         number += 1;
@@ -59,8 +63,10 @@ pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i
             stride *= 2;
             let (kept, between): (Vec<_>, Vec<_>) = frames.into_iter().partition(|(number, _)| number % stride == 0);
             frames = kept;
-            followers.extend(between);
-            followers.retain(|(number, _)| number % stride == 1);
+            if with_followers {
+                followers.extend(between);
+                followers.retain(|(number, _)| number % stride == 1);
+            }
         }
     }
     let unnumbered = |numbered: Vec<(u64, Frame)>| numbered.into_iter().map(|(_, frame)| frame).collect::<Vec<_>>();

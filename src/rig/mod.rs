@@ -10,7 +10,7 @@
 
 mod base_doubts;
 pub mod check;
-mod covariance;
+pub(crate) mod covariance;
 mod draft;
 mod error;
 mod file;
@@ -127,6 +127,15 @@ impl Rig {
         let recorded = self.provenance.get("base")?.get(key)?.as_array()?;
         let sd: Vec<f64> = recorded.iter().filter_map(covariance::number).collect();
         <[f64; 3]>::try_from(sd).ok().map(Vector3::from)
+    }
+
+    /// σ of the distance of a marker from the one before it, metres, as `calibrate markers` recorded it; the largest one
+    /// where it did not for all. `None` where all were given.
+    pub fn spacing_sd_m(&self, marker: usize) -> Option<f64> {
+        let recorded = self.provenance.get("markers")?.get("spacing_sd_mm")?.as_array()?;
+        let sd_mm: Vec<f64> = recorded.iter().filter_map(covariance::number).collect();
+        let own = sd_mm.get(marker.checked_sub(1)?).filter(|_| sd_mm.len() + 1 == self.markers.len());
+        own.copied().or_else(|| sd_mm.into_iter().max_by(f64::total_cmp)).map(|mm| mm * 1e-3)
     }
 
     /// Index of the marker at the tube's end, or else of the last one.

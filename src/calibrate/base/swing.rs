@@ -39,6 +39,8 @@ pub struct Swing {
     pub across_rad: f64,
     /// Time of the deflection that determines the sign.
     pub first: Timestamp,
+    /// How long that is after the first tangent, seconds.
+    pub first_after_s: f64,
     /// Unit vector in the plane, at right angles to the tangent at rest.
     pub(super) x: Vector3<f64>,
     /// σ of x about z, radians, for an exact z.
@@ -107,6 +109,7 @@ pub(super) fn plane(
         range_rad: angles.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], a| [low.min(a), high.max(a)]),
         across_rad,
         first,
+        first_after_s: tangents.first().map_or(0.0, |(began, ..)| first.seconds_since(*began)),
         x,
         turn_sd_rad: turn_sd_rad(&frames),
         turn_with_z: sign * turn_with_z,

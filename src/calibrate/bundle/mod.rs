@@ -235,7 +235,7 @@ impl Bundle {
         for _ in 0..=MAX_ROUNDS {
             let equations = |at: &State| self.equations(at, sd_px, prior_weight);
             (at, _) = minimise(end, at, equations, |at, step| Ok(self.stepped(at, step)))?;
-            let found = self.noise(&self.residuals_px(&at)?);
+            let found = self.noise(&self.residuals_px(&at)?, at.shape.is_rigid());
             let converged = (found / sd_px - 1.0).abs() < ROUND_TOLERANCE.0 || found == MIN_SD_PX;
             sd_px = found;
             if converged {
@@ -282,8 +282,9 @@ impl Bundle {
     }
 
     /// σ of a corner's coordinate: first from the median of the residuals, then from all that are not outliers by that.
-    fn noise(&self, residuals_px: &[Vector2<f64>]) -> f64 {
-        let unknowns = self.free.len() + shape::PARAMETERS + 6 * self.poses.len();
+    fn noise(&self, residuals_px: &[Vector2<f64>], is_rigid: bool) -> f64 {
+        let of_shape = if is_rigid { 0 } else { shape::PARAMETERS };
+        let unknowns = self.free.len() + of_shape + 6 * self.poses.len();
         let coordinates = (2 * residuals_px.len()) as f64;
         let freedom = (coordinates - unknowns as f64).max(1.0) / coordinates;
         let in_own = |(r, corner): (&Vector2<f64>, &Corner)| r.norm_squared() / corner.relative_sd.powi(2);

@@ -8,11 +8,11 @@ pub(crate) struct Minimum {
 }
 
 /// Steps along the parameter before giving up on a bracket.
-const MAX_STEPS: usize = 8;
+const MAX_STEPS: usize = 40;
 
 /// Minimises `f` from `start` by steps of `step`, within `range`; `None` when `f` cannot be evaluated at the start.
 ///
-/// At a limit of the range it returns the limit itself.
+/// At a limit of the range it returns the last point within.
 pub(crate) fn minimise(
     start: f64,
     step: f64,

@@ -370,7 +370,8 @@ fn known_lengths(rig: &Rig, length: Length) -> Vec<KnownLength> {
         let (a, b) = (rig.markers.get(coil)?, rig.markers.get(neighbour)?);
         let length_m = (b.centre_m? - a.centre_m?).abs();
         let near = length_m <= STIFF_DIAMETERS * rig.catheter.diameter_m;
-        near.then_some(KnownLength { markers: [coil, neighbour], length_m, sd_m: RIG_LENGTH_SD_M })
+        let noted_m = rig.spacing_sd_m(coil.max(neighbour)).unwrap_or(0.0);
+        near.then_some(KnownLength { markers: [coil, neighbour], length_m, sd_m: RIG_LENGTH_SD_M.max(noted_m) })
     };
     match length {
         Length::None => Vec::new(),

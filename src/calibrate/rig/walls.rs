@@ -207,13 +207,14 @@ pub(super) fn known(geometry: &Geometry, options: &RigOptions) -> Result<Vec<Pri
         known.push(Prior::IndexInside { index: tank.index_inside, sd });
     }
     let Some([width_m, depth_m, _]) = tank.size_m else { return Ok(known) };
-    known.extend(pairs_of_walls(geometry).map(|(surfaces, across)| {
-        if across {
-            return Prior::Square { surfaces, sd_rad: SQUARE_SD_RAD };
+    known.extend(pairs_of_walls(geometry).filter_map(|(surfaces, pair)| match pair {
+        Pair::Square => Some(Prior::Square { surfaces, sd_rad: SQUARE_SD_RAD }),
+        Pair::Opposite => {
+            // The front wall is the first one; the opposite wall is at the depth's distance.
+            let distance_m = if surfaces[0] == 0 { depth_m } else { width_m };
+            Some(Prior::Apart { surfaces, distance_m, sd_m: SIZE_SD_M })
         }
-        // The front wall is the first one; the opposite wall is at the depth's distance.
-        let distance_m = if surfaces[0] == 0 { depth_m } else { width_m };
-        Prior::Apart { surfaces, distance_m, sd_m: SIZE_SD_M }
+        Pair::SameSide => None,
     }));
     Ok(known)
 }
@@ -223,11 +224,26 @@ fn walls(geometry: &Geometry) -> impl Iterator<Item = usize> {
     surfaces.filter(|(_, (_, surface))| matches!(surface, Surface::Wall(_))).map(|(index, _)| index)
 }
 
-/// All pairs of walls, and whether they are perpendicular (otherwise opposite).
-fn pairs_of_walls(geometry: &Geometry) -> impl Iterator<Item = ([usize; 2], bool)> {
+/// How two walls of a tank, whose normals point outwards, stand to each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Pair {
+    Square,
+    Opposite,
+    /// Two mirrors on one side are seen through one wall, each with a wall of its own here.
+    SameSide,
+}
+
+fn pairs_of_walls(geometry: &Geometry) -> impl Iterator<Item = ([usize; 2], Pair)> {
     let normal = |surface: usize| geometry.surfaces[surface].1.plane().normal();
     let pairs = walls(geometry).flat_map(|a| walls(geometry).filter(move |b| *b > a).map(move |b| [a, b]));
-    pairs.map(move |[a, b]| ([a, b], normal(a).dot(&normal(b)).abs() < std::f64::consts::FRAC_1_SQRT_2))
+    pairs.map(move |[a, b]| {
+        let pair = match normal(a).dot(&normal(b)) {
+            dot if dot.abs() < std::f64::consts::FRAC_1_SQRT_2 => Pair::Square,
+            dot if dot < 0.0 => Pair::Opposite,
+            _ => Pair::SameSide,
+        };
+        ([a, b], pair)
+    })
 }
 
 /// Priors that keep the search near its start.
@@ -237,7 +253,7 @@ pub(super) fn held(geometry: &Geometry) -> Vec<Prior> {
         .map(|surface| Prior::Distance { surface, distance_m: distance_m(surface), sd_m: HOLD_SD.0 })
         .chain(
             pairs_of_walls(geometry)
-                .filter(|(_, across)| *across)
+                .filter(|(_, pair)| *pair == Pair::Square)
                 .map(|(surfaces, _)| Prior::Square { surfaces, sd_rad: HOLD_SD.1 }),
         )
         .collect()
