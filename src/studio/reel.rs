@@ -209,6 +209,23 @@ impl Index {
     }
 }
 
+/// The last frame up to number `from` whose time tells where it is: all before it are earlier, all after it later.
+fn seekable(stamps_ns: &[i64], from: usize) -> Option<usize> {
+    let mut after: Vec<i64> = stamps_ns.to_vec();
+    for k in (1..after.len()).rev() {
+        after[k - 1] = after[k - 1].min(after[k]);
+    }
+    let mut latest = i64::MIN;
+    let mut found = None;
+    for (k, ns) in stamps_ns.iter().enumerate().take(from.saturating_add(1)) {
+        if *ns > latest && after.get(k + 1).is_none_or(|least| least > ns) {
+            found = Some(k);
+        }
+        latest = latest.max(*ns);
+    }
+    found
+}
+
 impl ReelState {
     fn frame(&mut self, reel: &Reel, i: usize) -> Result<Arc<Frame>, Refusal> {
         if let Some((_, frame)) = self.kept.iter().find(|(of, _)| *of == i) {
@@ -216,9 +233,8 @@ impl ReelState {
         }
         let (from_ns, from, count) = {
             let index = lock(&reel.index.state);
-            let count = index.stamps_ns.len();
-            let from = i.saturating_sub(DECODED_BEFORE);
-            (index.stamps_ns.get(from).copied(), from, count)
+            let from = seekable(&index.stamps_ns, i.saturating_sub(DECODED_BEFORE));
+            (from.and_then(|from| index.stamps_ns.get(from).copied()), from.unwrap_or(0), index.stamps_ns.len())
         };
         let beyond = || Refusal::wrong(format!("frame {i}: expected one of the {count} that are known so far"));
         if i >= count {
@@ -261,5 +277,22 @@ impl ReelState {
         while self.kept.len() > most {
             self.kept.pop_front();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_is_sought_by_a_time_that_no_other_has() {
+        assert_eq!(seekable(&[0, 10, 20, 30, 40], 3), Some(3));
+        // Number 3 has the time of 2; 6 is earlier than 4 and 5.
+        let stamps_ns = [0, 10, 20, 20, 50, 60, 40, 70];
+        assert_eq!(
+            (0..8).map(|from| seekable(&stamps_ns, from)).collect::<Vec<_>>(),
+            [0, 1, 1, 1, 1, 1, 1, 7].map(Some)
+        );
+        assert_eq!(seekable(&[5, 5], 1), None);
     }
 }

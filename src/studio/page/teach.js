@@ -390,8 +390,8 @@ export class Teach {
     say(`Click on band ${this.bands[i].name}.`);
   }
 
-  form() {
-    const picked = this.picks.length ? this.picks[0].frame : this.frame;
+  form(frame = this.frame) {
+    const picked = this.picks.length ? this.picks[0].frame : frame;
     const usual = this.usual();
     return {
       recording: this.recording,
@@ -414,16 +414,19 @@ export class Teach {
     const band = this.bands[this.now]?.name;
     if (!band) return say("Add a band first.", true);
     if (x < 0 || y < 0 || x > this.size[0] - 1 || y > this.size[1] - 1) return say("That is outside of the picture.");
-    if (this.picks.some((pick) => pick.frame !== this.frame)) {
+    // The frame that is shown: another one may be on its way, and the answer too.
+    const frame = Number(this.element.dataset.frame ?? this.frame);
+    if (this.picks.some((pick) => pick.frame !== frame)) {
       this.clear();
       say("All picks must be in one frame; those in the other frame were discarded.");
     }
     const began = performance.now();
-    const look = await ask("teach/click", { form: this.form(), band, view: this.view || null, x, y });
+    const look = await ask("teach/click", { form: this.form(frame), band, view: this.view || null, x, y });
+    if (this.picks.some((pick) => pick.frame !== frame)) return undefined;
     this.took = performance.now() - began;
     this.element.dataset.took = this.took.toFixed(1);
     this.picks = this.picks.filter((pick) => pick.band !== band || pick.view !== look.view);
-    this.picks.push({ band, view: look.view, x, y, frame: this.frame });
+    this.picks.push({ band, view: look.view, x, y, frame });
     this.looks.set(`${band}@${look.view}`, look);
     this.whole = null;
     if (look.error) say(look.error, true);
