@@ -112,7 +112,8 @@ impl Limits {
         let mut before = 0.0;
         for (k, value) in signal.values_a.iter().enumerate() {
             let needs_s = (value - before).abs() / limit_a_s;
-            let hold_s = hold_s.min(signal.duration_s() - signal.time_s(k));
+            let left_ns = (1e9 * (signal.duration_s() - signal.time_s(k))).round();
+            let hold_s = hold_s.min(left_ns / 1e9);
             if needs_s > hold_s * (1.0 + ROUNDING) {
                 return Err(ExciteError::Unreached { at_s: signal.time_s(k), needs_s, limit_a_s, hold_s });
             }

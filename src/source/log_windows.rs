@@ -33,6 +33,8 @@ const MAX_PX: u64 = 1 << 27;
 
 /// The status of a frame whose picture was damaged.
 const DAMAGED: &str = "damaged";
+/// That of an interlaced picture.
+const INTERLACED: &str = "interlaced";
 
 /// The pictures in a log.
 pub struct LogWindows {
@@ -53,6 +55,8 @@ pub struct LogWindows {
     restarts: bool,
     /// Number of the last frame whose windows were read.
     windows_to: Option<u64>,
+    /// Number of the last row read.
+    read_to: Option<u64>,
     span: Span,
     given: u64,
     faults: StreamFaults,
@@ -69,6 +73,8 @@ struct Row {
     windows: Option<DynamicMessage>,
     /// Whether its picture was damaged: none was recorded, and tracked again it is not one that is missing in the log.
     damaged: bool,
+    /// Whether its rows were of two moments: where the picture was recorded it is so again.
+    interlaced: bool,
 }
 
 /// Size and storage of a picture.
@@ -98,6 +104,7 @@ impl LogWindows {
             lacking: 0,
             restarts: false,
             windows_to: None,
+            read_to: None,
             span,
             given: 0,
             faults: StreamFaults::default(),
@@ -125,7 +132,13 @@ impl LogWindows {
         let Record::Message { header, data } = &record else { return Ok(true) };
         if let Some(estimate) = self.decoder.decoded(header.channel_id, Topic::Estimate, data) {
             match row(&estimate) {
-                Ok(row) => self.rows.push_back(row),
+                Ok(row) => {
+                    // Of another run in the same file, whose numbers begin anew.
+                    if self.read_to.replace(row.seq).is_some_and(|before| row.seq <= before) {
+                        self.windows_to = None;
+                    }
+                    self.rows.push_back(row);
+                }
                 // It has no time, and so no row; the next frame counts it as missing.
                 Err(reason) => tracing::warn!("{}: frame {}: {reason}", self.path.display(), header.sequence),
             }
@@ -210,7 +223,7 @@ impl FrameSource for LogWindows {
                 continue;
             }
             let picture = match self.picture(&row) {
-                Ok(picture) => picture,
+                Ok(picture) => picture.interlaced(row.interlaced),
                 Err(error) => {
                     self.faults.pictures_left_out += 1;
                     if self.faults.pictures_left_out == 1 {
@@ -279,13 +292,15 @@ fn row(estimate: &DynamicMessage) -> Result<Row, String> {
     let host = || {
         Ok(HostTime { arrival_ns: whole("arrival_ns")?, stamp_ns: whole("host_stamp_ns")? }).map(|t| host.then_some(t))
     };
+    let status = word(estimate, "tangent_status");
     Ok(Row {
         seq: unsigned("seq")?,
         stamp: Timestamp { ns: whole("stamp_ns")?, clock },
         gap: unsigned("gap")?.try_into().unwrap_or(u32::MAX),
         host: host().map_err(|e: String| e)?,
         windows: None,
-        damaged: word(estimate, "tangent_status").as_deref() == Some(DAMAGED),
+        damaged: status.as_deref() == Some(DAMAGED),
+        interlaced: status.as_deref() == Some(INTERLACED),
     })
 }
 

@@ -38,8 +38,25 @@ pub(crate) fn conversion_advice(folder: &Path) -> Option<String> {
     ))
 }
 
-/// The text without the user's names and passwords of the addresses in it (`rtsp://user:word@host`), which do not
-/// belong into files that are passed on.
+/// Keys in an address's query, or in a text of a pipeline, whose values are secrets.
+const SECRETS: [&str; 13] = [
+    "user",
+    "username",
+    "login",
+    "pass",
+    "passwd",
+    "password",
+    "pwd",
+    "passphrase",
+    "token",
+    "key",
+    "apikey",
+    "user-id",
+    "user-pw",
+];
+
+/// The text without the user's names and passwords of the addresses in it (`rtsp://user:word@host`,
+/// `http://host/?user=name&password=word`), which do not belong into files that are passed on.
 pub(crate) fn without_credentials(text: &str) -> String {
     let mut parts = text.split("://");
     let mut clean = parts.next().unwrap_or_default().to_owned();
@@ -49,7 +66,25 @@ pub(crate) fn without_credentials(text: &str) -> String {
         clean += "://";
         clean += part.get(host..).unwrap_or_default();
     }
+    if !text.contains("://") && !text.starts_with("gst:") {
+        return clean;
+    }
+    // What ends a value.
+    let ends = ['?', '&', ' ', ';', '"', '\'', '#'];
+    let secret = |word: &str| {
+        let (key, value) = word.split_once('=')?;
+        SECRETS
+            .iter()
+            .any(|secret| key.eq_ignore_ascii_case(secret))
+            .then(|| format!("{key}={}", "…".repeat(usize::from(!value.is_empty()))))
+    };
     clean
+        .split_inclusive(ends)
+        .map(|word| {
+            let end = word.strip_suffix(ends).unwrap_or(word);
+            secret(end).map_or_else(|| word.to_owned(), |hidden| hidden + word.get(end.len()..).unwrap_or_default())
+        })
+        .collect()
 }
 
 macro_rules! names {
@@ -107,6 +142,13 @@ mod tests {
             ("rtsp://admin:p@ss@10.0.0.2:554/live?a=b@c", "rtsp://10.0.0.2:554/live?a=b@c"),
             ("gst:rtspsrc location=\"http://u:p@host/x\" ! a@b", "gst:rtspsrc location=\"http://host/x\" ! a@b"),
             ("http://host/x", "http://host/x"),
+            ("http://host/cam?user=bob&fps=5&Password=word#1", "http://host/cam?user=…&fps=5&Password=…#1"),
+            ("srt://host:1?mode=caller&passphrase=long word", "srt://host:1?mode=caller&passphrase=… word"),
+            (
+                "gst:rtspsrc location=\"rtsp://host\" user-pw=word ! x",
+                "gst:rtspsrc location=\"rtsp://host\" user-pw=… ! x",
+            ),
+            ("key=1.csv", "key=1.csv"),
             ("/dev/video0@1", "/dev/video0@1"),
             ("-", "-"),
         ] {

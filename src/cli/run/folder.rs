@@ -166,7 +166,8 @@ impl Files {
                     self.folder.display()
                 );
             }
-            self.set_vetoes_aside(Path::new(&run.recording)).map_err(|e| cannot(&self.folder, e))?;
+            let timed_alike = earlier.fps == run.fps;
+            self.set_vetoes_aside(Path::new(&run.recording), timed_alike).map_err(|e| cannot(&self.folder, e))?;
             for name in ALL.into_iter().filter(|name| *name != RUN) {
                 let path = self.folder.join(name);
                 match fs::remove_file(&path) {
@@ -181,21 +182,22 @@ impl Files {
         Ok(held)
     }
 
-    /// Sets vetoes aside that were given when the recording had another content: they are of other moments.
-    fn set_vetoes_aside(&self, recording: &Path) -> io::Result<()> {
+    /// Sets vetoes aside that were given when the recording had another content, or its frames other times: they are of
+    /// other moments.
+    fn set_vetoes_aside(&self, recording: &Path, timed_alike: bool) -> io::Result<()> {
         let file = self.folder.join(vetoes::FILE);
         if !file.exists() {
             return Ok(());
         }
         let earlier = RunSummary::read(&self.folder).ok().flatten().and_then(|summary| summary.sha256.recording);
-        let Some(then) = earlier else { return Ok(()) };
-        if hash::of_recording(recording).is_ok_and(|now| now != then)
+        let is_other = |then: String| hash::of_recording(recording).is_ok_and(|now| now != then);
+        if (!timed_alike || earlier.is_some_and(is_other))
             && let Some(aside) = atomic_file::backup_names(&file).find(|name| !name.exists())
         {
             fs::rename(&file, &aside)?;
             tracing::warn!(
-                "{}: of an earlier content of this recording, now in {}: its vetoes do not count; rename it if its \
-                 frames and their stamps are still the same",
+                "{}: of an earlier content of this recording, or of other times of its frames, now in {}: its vetoes do \
+                 not count; rename it if frames and stamps are still the same",
                 file.display(),
                 aside.display()
             );

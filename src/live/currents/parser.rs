@@ -13,15 +13,19 @@ use crate::sink::CurrentSample;
 use crate::source::current_columns::{CurrentColumns, TimeColumn};
 use crate::source::host::HostClock;
 use crate::source::times::seconds;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A sample further from its arrival is not of this run.
 const MAX_SAMPLE_AGE_NS: i64 = 60_000_000_000;
+/// Most rows of a table that are logged from before that: the last of them tells what the coils have.
+const MOST_EARLIER: usize = 1000;
+/// How long rows that are already in a table may take to be read when the run ends.
+const LAST_LOOK: Duration = Duration::from_millis(500);
 /// Senders that are counted apart.
 const MAX_SENDERS: usize = 64;
 /// Longest header, bytes.
@@ -53,6 +57,9 @@ pub(super) struct Parser {
     /// Samples of a table whose time is that of their arrival, more or less; and those of other times.
     timely: u64,
     untimely: u64,
+    /// The last rows of a table that are from before the run, not logged yet, and how many before them never are.
+    earlier: VecDeque<CurrentSample>,
+    left_out: u64,
     /// Time of the last sample, and how many have none later than the one before.
     last_ns: Option<i64>,
     not_later: u64,
@@ -84,6 +91,8 @@ impl Parser {
             other_coils: 0,
             timely: 0,
             untimely: 0,
+            earlier: VecDeque::new(),
+            left_out: 0,
             last_ns: None,
             not_later: 0,
             delays: Delays::default(),
@@ -153,12 +162,22 @@ impl Parser {
         }
     }
 
-    /// Reads lines; at the end of what there is it waits so long, and reads on.
+    /// Reads lines; at the end of what there is it waits so long, and reads on. Of a table that is written meanwhile, what
+    /// there is when the run ends is read as well.
     pub(super) fn lines(&mut self, mut from: impl Read, mut start: Start, idle: Duration, stop: &AtomicBool) {
         let (mut bytes, mut line) = ([0; 4096], Vec::new());
-        while !stop.load(Ordering::Relaxed) {
+        let mut until = None;
+        loop {
+            if stop.load(Ordering::Relaxed) {
+                let until = *until.get_or_insert_with(|| Instant::now() + LAST_LOOK);
+                if self.columns.is_none() || self.is_timed_from_start() || Instant::now() > until {
+                    break;
+                }
+            }
             match from.read(&mut bytes) {
+                Ok(0) if until.is_some() => break,
                 Ok(0) if line.is_empty() => {
+                    self.send_earlier();
                     start = Start::OfLine;
                     std::thread::sleep(idle);
                 }
@@ -201,6 +220,7 @@ impl Parser {
             let rest = String::from_utf8_lossy(&line);
             tracing::warn!("{}: the last line, `{}`, is not logged: it has no end", self.name, rest.escape_debug());
         }
+        self.send_earlier();
         self.report();
     }
 
@@ -304,12 +324,29 @@ impl Parser {
     /// Rows of a table wait until they are logged. Once nobody logs any more, the run is over.
     fn send(&mut self, sample: CurrentSample) {
         if self.columns.is_some() {
+            let from_ns = self.clock.started_ns().saturating_sub(MAX_SAMPLE_AGE_NS);
+            if sample.host_ns < from_ns && !self.is_timed_from_start() {
+                self.earlier.push_back(sample);
+                if self.earlier.len() > MOST_EARLIER {
+                    self.earlier.pop_front();
+                    self.left_out += 1;
+                }
+                return;
+            }
+            self.send_earlier();
             let _ = self.samples.send(sample);
         } else if let Err(TrySendError::Full(_)) = self.samples.try_send(sample) {
             self.full += 1;
             if self.full == 1 {
                 tracing::warn!("{}: currents come faster than they are logged; some are lost", self.name);
             }
+        }
+    }
+
+    /// Sends the last rows from before the run.
+    fn send_earlier(&mut self) {
+        for sample in std::mem::take(&mut self.earlier) {
+            let _ = self.samples.send(sample);
         }
     }
 
@@ -381,6 +418,7 @@ impl Parser {
             (self.implausible, "samples were not plausible"),
             (self.other_coils, "samples had another number of currents than the first"),
             (self.full, "samples came faster than they were logged"),
+            (self.left_out, "rows are from more than 60 s before the run, and not logged"),
         ];
         for (count, what) in counts.into_iter().chain(self.sequence.report()) {
             if count > 1 {
@@ -577,6 +615,37 @@ mod tests {
         assert_eq!((next(), next()), (vec![0.1], vec![0.2]));
         ends.store(true, Ordering::Relaxed);
         reading.join().unwrap();
+    }
+
+    /// Of a table that was begun long before the run the last rows are logged, and what is written when it ends.
+    #[test]
+    fn old_rows_of_a_long_table_are_left_out_and_the_last_ones_are_read() {
+        struct Growing(Vec<Vec<u8>>, Arc<AtomicBool>);
+        impl Read for Growing {
+            fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+                let next = self.0.pop().unwrap_or_default();
+                bytes[..next.len()].copy_from_slice(&next);
+                // The run ends before the rest of it is read.
+                self.1.fetch_or(self.0.len() == 1, Ordering::Relaxed);
+                Ok(next.len())
+            }
+        }
+        let (samples, line) = sync_channel(2 * MOST_EARLIER);
+        let clock = HostClock::start();
+        let new = Parser::new("test".to_owned(), clock, samples, 10.0);
+        let mut parser = Parser { columns: columns("host_ns,i1").ok(), ..new };
+        let old_ns = clock.started_ns() - 2 * MAX_SAMPLE_AGE_NS;
+        let rows = |from: i64, count: i64, at_ns: i64| -> Vec<u8> {
+            (from..from + count).flat_map(|k| format!("{},0.{k}\n", at_ns + k).into_bytes()).collect()
+        };
+        let mut parts: Vec<Vec<u8>> = (0..12).map(|k| rows(100 * k, 100, old_ns)).collect();
+        parts.extend([rows(5000, 2, clock.started_ns()), rows(6000, 1, clock.started_ns())]);
+        parts.reverse();
+        let stop = Arc::new(AtomicBool::new(false));
+        parser.lines(Growing(parts, Arc::clone(&stop)), Start::OfLine, Duration::from_millis(1), &stop);
+        let logged: Vec<i64> = line.try_iter().map(|sample| sample.host_ns).collect();
+        assert_eq!((logged.len(), parser.left_out), (MOST_EARLIER + 3, 200));
+        assert_eq!((logged[0], logged[MOST_EARLIER + 2]), (old_ns + 200, clock.started_ns() + 6000));
     }
 
     /// A device that sends all the time, opened within a line.

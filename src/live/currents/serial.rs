@@ -1,8 +1,10 @@
 //! A serial device, read as bytes come.
 
+use rustix::fs::OFlags;
 use rustix::termios::{OptionalActions, SpecialCodeIndex, tcgetattr, tcsetattr};
 use std::fs::File;
 use std::io::{self, Read};
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 
 /// An open serial device. A read that finds nothing ends after a tenth of a second; of a device that is gone, it fails.
@@ -11,7 +13,9 @@ pub(super) struct SerialLine(File);
 impl SerialLine {
     /// Opens the device at this speed.
     pub(super) fn open(device: &Path, baud: u32) -> io::Result<Self> {
-        let line = File::options().read(true).write(true).open(device)?;
+        // Not as a terminal that ends the program when it is unplugged.
+        let no_terminal = i32::try_from(OFlags::NOCTTY.bits()).unwrap_or(0);
+        let line = File::options().read(true).write(true).custom_flags(no_terminal).open(device)?;
         let mut settings = tcgetattr(&line)?;
         settings.make_raw();
         settings.set_speed(baud)?;

@@ -85,6 +85,7 @@ pub struct Camera {
     missing: u32,
     faults: StreamFaults,
     unstamped_named: bool,
+    restart_named: bool,
     /// The stamps before an interruption, until it is over.
     before: Option<StampWatch>,
 }
@@ -136,6 +137,7 @@ impl Camera {
             missing: 0,
             faults: StreamFaults::default(),
             unstamped_named: false,
+            restart_named: false,
             before: None,
         })
     }
@@ -153,9 +155,11 @@ impl Camera {
         match session.counter.step(taken.number) {
             Count::First => {}
             Count::After(lost) => self.missing = self.missing.saturating_add(lost),
+            Count::Restart if std::mem::replace(&mut self.restart_named, true) => {}
             Count::Restart => {
                 tracing::warn!(
-                    "{}: the camera's frame counter restarted at {}: what was lost there is not known",
+                    "{}: the camera's frame counter restarted at {}, or stands still: what was lost there is not known; \
+                     told once",
                     self.name,
                     taken.number
                 );
