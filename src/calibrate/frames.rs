@@ -4,7 +4,7 @@ use crate::source::{Frame, FrameSource, SourceError};
 
 /// Most memory that they may take together, but so many frames are kept at least, of which half may be left.
 const FRAME_BYTES: u64 = 1_000_000_000;
-const MIN_FRAMES: u64 = 32;
+const MIN_FRAMES: u64 = 24;
 
 /// Frames spread evenly over a recording.
 pub(crate) struct Spread {

@@ -62,7 +62,7 @@ impl Sequence {
     /// How many were lost, and how many came twice or late, in words.
     pub(crate) fn report(&self) -> [(u64, &'static str); 3] {
         [
-            (self.lost(), "samples were lost on their way, or came late"),
+            (self.lost(), "samples were lost on their way"),
             (self.not_later, "samples came twice or late"),
             (self.restarts, "times the numbers of samples began anew"),
         ]

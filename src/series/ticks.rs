@@ -23,7 +23,9 @@ pub struct Ticks {
     pub modulus: u64,
     /// Usual time between frames, nanoseconds.
     pub interval_ns: i64,
-    /// Longest time between two frames from the first change of the count to the last, nanoseconds.
+    /// Time between the frames of its first change, and the longest from there to its last one, nanoseconds.
+    pub first_ns: i64,
+    /// See [`Ticks::first_ns`].
     pub longest_ns: i64,
 }
 
@@ -76,11 +78,13 @@ impl Recording {
         let changes = || pairs().enumerate().filter(|(_, (from, to))| from.1 != to.1).map(|(k, _)| k);
         let (first, last) = (changes().next().unwrap_or(0), changes().next_back().unwrap_or(0));
         let within = pairs().skip(first).take(last - first + 1);
-        let longest_ns = within.map(|(from, to)| to.0.saturating_sub(from.0)).max().unwrap_or(0);
+        let apart_ns: Vec<i64> = within.map(|(from, to)| to.0.saturating_sub(from.0)).collect();
+        let (first_ns, longest_ns) =
+            (apart_ns.first().copied().unwrap_or(0), apart_ns.iter().copied().max().unwrap_or(0));
         let mut intervals: Vec<i64> = pairs().map(|(a, b)| b.0.saturating_sub(a.0)).collect();
         intervals.sort_unstable();
         let interval_ns = intervals.get(intervals.len() / 2).copied().unwrap_or(0);
-        Ok(Some(Ticks { times_ns, modulus, interval_ns, longest_ns }))
+        Ok(Some(Ticks { times_ns, modulus, interval_ns, first_ns, longest_ns }))
     }
 }
 
@@ -100,9 +104,10 @@ impl Ticks {
         apart_ns.saturating_add(pause_ns) < pause_ns.saturating_mul(i64::try_from(self.modulus).unwrap_or(i64::MAX))
     }
 
-    /// σ of the start by a single change, nanoseconds: it came at any time between two frames.
-    pub fn first_sd_ns(&self) -> f64 {
-        self.interval_ns as f64 / 12_f64.sqrt()
+    /// σ of the start by the first change alone, nanoseconds: it came at any time between two frames. `None` where they
+    /// are so far apart that others may have come before it.
+    pub fn first_sd_ns(&self, pause_ns: i64) -> Option<f64> {
+        self.count_lasts(self.first_ns, pause_ns).then(|| self.first_ns as f64 / 12_f64.sqrt())
     }
 
     /// σ of the start of [`Ticks::evenly`], nanoseconds. Where pauses and frames beat, only so many places in a frame
@@ -115,7 +120,7 @@ impl Ticks {
             (off - off.round()).abs() < 0.5 / (count / places) as f64
         };
         let places = (1..count).find(beats).unwrap_or(count);
-        self.first_sd_ns() * (2.0 / (count as f64).sqrt()).max(1.0 / places as f64)
+        self.interval_ns as f64 / 12_f64.sqrt() * (2.0 / (count as f64).sqrt()).max(1.0 / places as f64)
     }
 
     /// Start and pause (nanoseconds) of `commands` evenly spaced commands, from the first: a line through their times.
@@ -145,7 +150,8 @@ mod tests {
 
     #[test]
     fn where_pauses_and_frames_beat_many_ticks_tell_no_more_than_few() {
-        let ticks = Ticks { times_ns: vec![0; 800], modulus: 4, interval_ns: 16_666_667, longest_ns: 16_666_667 };
+        let ticks =
+            Ticks { times_ns: vec![0; 800], modulus: 4, interval_ns: 16_666_667, first_ns: 0, longest_ns: 16_666_667 };
         let sd_ms = |pause_ms: f64| ticks.evenly_sd_ns(800, pause_ms * 1e6) * 1e-6;
         // 1.2 frames: five places in a frame. 1.203: all.
         assert!((sd_ms(20.0) - 16.667 / 12_f64.sqrt() / 5.0).abs() < 1e-3, "{}", sd_ms(20.0));

@@ -49,6 +49,9 @@ impl Default for VideoOptions {
     }
 }
 
+/// So many frames without a time stamp in a row are left out; beyond, there is none to come.
+const MOST_UNSTAMPED: u32 = 300;
+
 /// A recorded video.
 pub struct VideoFile {
     path: PathBuf,
@@ -70,6 +73,9 @@ pub struct VideoFile {
     frame_count_hint: Option<u64>,
     ended: bool,
     faults: StreamFaults,
+    /// Whether a frame had a stamp, and how many since then had none.
+    is_stamped: bool,
+    unstamped_in_a_row: u32,
     seq: u64,
     /// Live: when the packet of the last frame passed on was read.
     arrival: Option<Instant>,
@@ -174,6 +180,8 @@ impl VideoFile {
             span: options.span,
             ended: false,
             faults: StreamFaults::default(),
+            is_stamped: false,
+            unstamped_in_a_row: 0,
             seq: 0,
             arrival: None,
             latest_pts: None,
@@ -383,13 +391,16 @@ impl VideoFile {
     }
 
     /// The stamp of a frame; `None` for a frame without any, which is left out and counted: the first ones of some
-    /// streams, and where the packet with the stamp was lost.
+    /// streams or of a span, and where the packet with the stamp was lost.
     fn stamp_if_any(&mut self, picture: &Decoded) -> Result<Option<Timestamp>, SourceError> {
-        match self.stamp(picture) {
-            // A recording of which hardly any frame has one is refused.
+        let stamp = self.stamp(picture);
+        let has_others = self.clock == Clock::Stream || self.is_stamped || self.span.from_ns.is_some();
+        match &stamp {
+            // A recording or stream without times is refused.
             Err(SourceError::NoTime { .. })
-                if self.has_times() && (self.clock == Clock::Stream || self.faults.unstamped < self.seq) =>
+                if self.has_times() && has_others && self.unstamped_in_a_row < MOST_UNSTAMPED =>
             {
+                self.unstamped_in_a_row += 1;
                 self.faults.unstamped += 1;
                 if self.faults.unstamped == 1 {
                     tracing::warn!(
@@ -398,10 +409,12 @@ impl VideoFile {
                         self.path.display()
                     );
                 }
-                Ok(None)
+                return Ok(None);
             }
-            stamp => stamp.map(Some),
+            Ok(_) => (self.is_stamped, self.unstamped_in_a_row) = (true, 0),
+            Err(_) => {}
         }
+        stamp.map(Some)
     }
 
     /// The pictures of a recording have one size.

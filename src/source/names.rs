@@ -38,22 +38,9 @@ pub(crate) fn conversion_advice(folder: &Path) -> Option<String> {
     ))
 }
 
-/// Keys in an address's query, or in a text of a pipeline, whose values are secrets.
-const SECRETS: [&str; 13] = [
-    "user",
-    "username",
-    "login",
-    "pass",
-    "passwd",
-    "password",
-    "pwd",
-    "passphrase",
-    "token",
-    "key",
-    "apikey",
-    "user-id",
-    "user-pw",
-];
+/// Keys in an address's query, or in a text of a pipeline, whose values are secrets; and how others end.
+const SECRETS: [&str; 6] = ["user", "username", "login", "auth", "user-id", "user-pw"];
+const SECRET_ENDS: [&str; 8] = ["pass", "passwd", "password", "pwd", "passphrase", "token", "key", "secret"];
 
 /// The text without the user's names and passwords of the addresses in it (`rtsp://user:word@host`,
 /// `http://host/?user=name&password=word`), which do not belong into files that are passed on.
@@ -66,25 +53,32 @@ pub(crate) fn without_credentials(text: &str) -> String {
         clean += "://";
         clean += part.get(host..).unwrap_or_default();
     }
-    if !text.contains("://") && !text.starts_with("gst:") {
-        return clean;
+    if text.contains("://") || text.contains("gst:") { without_secrets(&clean) } else { clean }
+}
+
+/// The text without the values of keys that are secrets: `key=value`, `key = "value"`.
+fn without_secrets(text: &str) -> String {
+    let mut clean = String::new();
+    let mut rest = text;
+    while let Some((before, after)) = rest.split_once('=') {
+        clean += before;
+        clean.push('=');
+        rest = after;
+        let in_key = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        let key = before.trim_end().rsplit(|c| !in_key(c)).next().unwrap_or_default().to_ascii_lowercase();
+        if !SECRETS.contains(&key.as_str()) && !SECRET_ENDS.iter().any(|end| key.ends_with(end)) {
+            continue;
+        }
+        let value = after.trim_start();
+        let quote = value.chars().next().filter(|first| ['"', '\''].contains(first));
+        let end = match quote {
+            Some(quote) => value.get(1..).and_then(|value| value.find(quote)).map(|end| end + 2),
+            None => value.find(['?', '&', ' ', ';', '"', '\'', '#']),
+        };
+        clean += if value.is_empty() { "" } else { "…" };
+        rest = value.get(end.unwrap_or(value.len())..).unwrap_or_default();
     }
-    // What ends a value.
-    let ends = ['?', '&', ' ', ';', '"', '\'', '#'];
-    let secret = |word: &str| {
-        let (key, value) = word.split_once('=')?;
-        SECRETS
-            .iter()
-            .any(|secret| key.eq_ignore_ascii_case(secret))
-            .then(|| format!("{key}={}", "…".repeat(usize::from(!value.is_empty()))))
-    };
-    clean
-        .split_inclusive(ends)
-        .map(|word| {
-            let end = word.strip_suffix(ends).unwrap_or(word);
-            secret(end).map_or_else(|| word.to_owned(), |hidden| hidden + word.get(end.len()..).unwrap_or_default())
-        })
-        .collect()
+    clean + rest
 }
 
 macro_rules! names {
@@ -148,6 +142,9 @@ mod tests {
                 "gst:rtspsrc location=\"rtsp://host\" user-pw=word ! x",
                 "gst:rtspsrc location=\"rtsp://host\" user-pw=… ! x",
             ),
+            ("gst:rtspsrc user-pw = \"two words\" latency=0", "gst:rtspsrc user-pw =… latency=0"),
+            ("--source=gst:a pass='x", "--source=gst:a pass=…"),
+            ("http://host/?access_token=x&n=", "http://host/?access_token=…&n="),
             ("key=1.csv", "key=1.csv"),
             ("/dev/video0@1", "/dev/video0@1"),
             ("-", "-"),

@@ -231,16 +231,17 @@ impl ReelState {
         if let Some((_, frame)) = self.kept.iter().find(|(of, _)| *of == i) {
             return Ok(Arc::clone(frame));
         }
-        let (from_ns, from, count) = {
-            let index = lock(&reel.index.state);
-            let from = seekable(&index.stamps_ns, i.saturating_sub(DECODED_BEFORE));
-            (from.and_then(|from| index.stamps_ns.get(from).copied()), from.unwrap_or(0), index.stamps_ns.len())
-        };
+        let count = lock(&reel.index.state).stamps_ns.len();
         let beyond = || Refusal::wrong(format!("frame {i}: expected one of the {count} that are known so far"));
         if i >= count {
             return Err(beyond());
         }
         if !self.reader.as_ref().is_some_and(|(next, _)| (*next..*next + SEEK_BEYOND).contains(&i)) {
+            let (from, from_ns) = {
+                let stamps_ns = &lock(&reel.index.state).stamps_ns;
+                let from = seekable(stamps_ns, i.saturating_sub(DECODED_BEFORE));
+                (from.unwrap_or(0), from.and_then(|from| stamps_ns.get(from).copied()))
+            };
             let span = Span { from_ns, to_ns: None };
             // A stated rate counts from the first picture that is read.
             let (from, span) = if reel.options.stated_rate.is_some() { (0, Span::default()) } else { (from, span) };

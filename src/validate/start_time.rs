@@ -73,7 +73,7 @@ pub(super) struct Ticked {
 pub(super) fn from_ticks(recording: &Recording, pause_ns: i64, commands: usize) -> Result<Option<Ticked>, SeriesError> {
     let Some(ticks) = recording.ticks()? else { return Ok(None) };
     let Some(start_ns) = ticks.times_ns.first().copied() else { return Ok(None) };
-    let first = |note: Option<String>| Ticked { start_ns, start_sd_ns: Some(ticks.first_sd_ns()), pause_ns, note };
+    let first = |note: Option<String>| Ticked { start_ns, start_sd_ns: ticks.first_sd_ns(pause_ns), pause_ns, note };
     if !ticks.resolves(pause_ns) {
         let note = format!(
             "a count of commands modulo {} aliases at this pause: only the start is taken from it, which may be a frame \
@@ -84,7 +84,8 @@ pub(super) fn from_ticks(recording: &Recording, pause_ns: i64, commands: usize) 
     }
     if !ticks.resolves_all(pause_ns) {
         let note = format!(
-            "{:.3} s without a frame are too long for a count of commands modulo {}: only the start is taken from it",
+            "{:.3} s without a frame are too long for a count of commands modulo {}: only the start is taken from it, and \
+             --pause as it is",
             seconds(ticks.longest_ns),
             ticks.modulus
         );

@@ -188,7 +188,10 @@ impl Parser {
                         line.clear();
                     }
                 }
-                Ok(0) => std::thread::sleep(idle),
+                Ok(0) => {
+                    self.send_earlier();
+                    std::thread::sleep(idle);
+                }
                 Ok(length) => {
                     for &byte in bytes.iter().take(length) {
                         match byte {

@@ -194,7 +194,9 @@ impl Camera {
             self.fit.begin_anew();
         }
         // What the counter of another connection cannot tell.
-        if let Some(mut stamps) = self.before.take().filter(|_| !anew) {
+        if taken.stamp.is_some()
+            && let Some(mut stamps) = self.before.take().filter(|_| !anew)
+        {
             gap = gap.max(stamps.clear_gap(stamp.ns, self.seq, &mut self.faults));
         }
         if let Some(session) = &mut self.session {

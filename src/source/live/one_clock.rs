@@ -12,7 +12,7 @@
 //! their stamps until then: a recording that is sent as fast as it goes has holes.) Where the shift before suits again, a
 //! single stamp was wrong.
 //!
-//! Cannot tell: how long such an interruption was, better than arrivals vary (some hundredths of a second, with
+//! Cannot tell: that a stamp in the first second of a run is too late; how long such an interruption was, better than arrivals vary (some hundredths of a second, with
 //! network streams some tenths); a clock that was set by less than [`ANEW_NS`].
 
 use super::super::times::seconds;
@@ -25,13 +25,22 @@ const PACE_NS: i64 = 1_000_000_000;
 /// The clock of a run.
 #[derive(Debug, Default)]
 pub(super) struct OneClock {
-    /// Added to the stamps since the clock last began anew, and before.
-    shift_ns: i64,
-    earlier_shift_ns: i64,
-    /// Stamp and the host's time of the first frame since.
-    since: Option<(i64, i64)>,
+    /// Since the clock last began anew, and before.
+    setting: Setting,
+    earlier: Setting,
     last: Option<Last>,
     interrupted: bool,
+}
+
+/// How the camera's clock is set.
+#[derive(Debug, Clone, Copy, Default)]
+struct Setting {
+    /// Added to its stamps.
+    shift_ns: i64,
+    /// Stamp and the host's time of its first frame.
+    since: Option<(i64, i64)>,
+    /// The least difference of the two.
+    least_ns: Option<i64>,
 }
 
 /// The frame before.
@@ -59,35 +68,43 @@ impl OneClock {
         let by_host = arrival_ns.saturating_sub(last.host_ns).max(1);
         let ahead = by_camera.saturating_sub(by_host);
         let goes_back = if interrupted { by_camera <= 0 || ahead < -ANEW_NS } else { by_camera < -ANEW_NS };
-        let goes_ahead = ahead > ANEW_NS && (interrupted || self.is_paced());
-        if !goes_back && !goes_ahead {
+        let next_ns = last.shifted_ns.saturating_add(by_host);
+        let by_earlier = stamp_ns.saturating_add(self.earlier.shift_ns);
+        let suits = by_earlier > last.shifted_ns && by_earlier.saturating_sub(next_ns).saturating_abs() < ANEW_NS;
+        // Not so where frames before it were late, and those that have waited with them are lost.
+        let is_early = |least_ns: i64| arrival_ns.saturating_sub(stamp_ns) < least_ns.saturating_sub(ANEW_NS);
+        let is_set = self.setting.least_ns.is_some_and(is_early) && (suits || self.is_paced());
+        if !goes_back && !(ahead > ANEW_NS && (interrupted || is_set)) {
             return false;
         }
-        self.since = None;
-        let next_ns = last.shifted_ns.saturating_add(by_host);
-        let by_earlier = stamp_ns.saturating_add(self.earlier_shift_ns);
-        let suits = by_earlier > last.shifted_ns && by_earlier.saturating_sub(next_ns).saturating_abs() < ANEW_NS;
-        let shift_ns = if suits { self.earlier_shift_ns } else { next_ns.saturating_sub(stamp_ns) };
-        self.earlier_shift_ns = std::mem::replace(&mut self.shift_ns, shift_ns);
+        if suits {
+            std::mem::swap(&mut self.setting, &mut self.earlier);
+        } else {
+            self.earlier = self.setting;
+            self.setting = Setting { shift_ns: next_ns.saturating_sub(stamp_ns), ..Setting::default() };
+        }
         tracing::warn!(
             "{name}: its clock began anew: from here on {:.3} s are added to its stamps, so that they continue by the \
              host's clock",
-            seconds(self.shift_ns)
+            seconds(self.setting.shift_ns)
         );
         true
     }
 
     /// The stamp on the clock of the run of the next frame, which was taken at `host_ns`.
     pub(super) fn stamp_ns(&mut self, stamp_ns: i64, host_ns: i64) -> i64 {
-        let shifted_ns = stamp_ns.saturating_add(self.shift_ns);
-        self.since.get_or_insert((stamp_ns, host_ns));
+        let Setting { shift_ns, since, least_ns } = &mut self.setting;
+        let shifted_ns = stamp_ns.saturating_add(*shift_ns);
+        since.get_or_insert((stamp_ns, host_ns));
+        let delay_ns = host_ns.saturating_sub(stamp_ns);
+        *least_ns = Some(least_ns.map_or(delay_ns, |least_ns| least_ns.min(delay_ns)));
         self.last = Some(Last { stamp_ns, shifted_ns, host_ns });
         shifted_ns
     }
 
     /// Whether frames came about as fast as they were taken.
     fn is_paced(&self) -> bool {
-        let (Some((stamp_ns, host_ns)), Some(last)) = (self.since, self.last) else { return false };
+        let (Some((stamp_ns, host_ns)), Some(last)) = (self.setting.since, self.last) else { return false };
         let by_camera = last.stamp_ns.saturating_sub(stamp_ns);
         by_camera >= PACE_NS && last.host_ns.saturating_sub(host_ns) >= by_camera / 2
     }
@@ -142,6 +159,20 @@ mod tests {
         assert_eq!([at(3610 * S, 105 * S), at(3611 * S, 106 * S)], [(true, 10 * S), (false, 11 * S)]);
         // Frames that are lost are no new clock, nor are those that have waited.
         assert_eq!([at(3651 * S, 146 * S), at(3652 * S, 155 * S)], [(false, 51 * S), (false, 52 * S)]);
+        // A stamp that is too early, and two that are too late, half a second apart.
+        assert_eq!([at(2 * S, 156 * S), at(3654 * S, 157 * S)], [(true, 53 * S), (true, 54 * S)]);
+        assert_eq!(at(3655 * S, 158 * S), (false, 55 * S));
+        for k in [1, 2] {
+            assert!(at(90_000 * S, 158 * S + k * S / 2 - 1).0);
+            assert_eq!(at(3655 * S + k * S / 2, 158 * S + k * S / 2), (true, 55 * S + k * S / 2));
+        }
+        // Frames that a slow way holds up more and more, until those that wait are thrown away.
+        let mut clock = OneClock::default();
+        let mut at = |stamp: i64, host: i64| (clock.begins_anew(stamp, host, "camera"), clock.stamp_ns(stamp, host));
+        for k in 0..10 {
+            assert_eq!(at(k * S, 100 * S + k * S * 17 / 10), (false, k * S));
+        }
+        assert_eq!(at(16 * S, 117 * S), (false, 16 * S));
         // A recording that is sent faster than it was taken has a hole.
         let mut clock = OneClock::default();
         let mut at = |stamp: i64, host: i64| (clock.begins_anew(stamp, host, "camera"), clock.stamp_ns(stamp, host));

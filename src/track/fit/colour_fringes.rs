@@ -236,7 +236,7 @@ mod tests {
     impl Scene {
         fn new(magnifications: [f64; 2], beside_px: [[f64; WAYS]; 2]) -> Self {
             let rig = fixture::rig();
-            let group = groups(&rig, |_, _| true).remove(0);
+            let group = groups(&rig, |_| true).remove(0);
             Self { fringes: Fringes::of(&rig), random: Random::new(4), group, magnifications, beside_px }
         }
 

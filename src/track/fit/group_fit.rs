@@ -73,7 +73,7 @@ impl GroupFitting<'_> {
     pub(in crate::track) fn fit_all(&self) -> Vec<Fitted> {
         let sees = |m: usize, v: usize| self.found.assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some());
         let views = 0..self.rig.views.len();
-        let together = |a: usize, b: usize| views.clone().filter(|&v| sees(a, v) && sees(b, v)).count() >= 2;
+        let together = |all: &[usize]| views.clone().filter(|&v| all.iter().all(|m| sees(*m, v))).count() >= 2;
         let fit = |group: Group| {
             let sees_all = |v: &usize| group.members.iter().all(|&(m, _)| sees(m, *v));
             let views: Vec<usize> = views.clone().filter(sees_all).collect();
@@ -339,7 +339,7 @@ mod tests {
         let fit_with_tip_at = |tip: Point3<f64>| {
             let at = |point| Ok(Assigned { point, blobs: vec![None, None] });
             let assigned = [Err(Miss::NotSeen { view: 0 }), at(tube.centre), at(tip)];
-            let group = groups(&rig, |a, b| a > 0 && b > 0).remove(0);
+            let group = groups(&rig, |all| all.iter().all(|m| *m > 0)).remove(0);
             let found = Found { blobs: Vec::new(), assigned: assigned.into() };
             let (last, usual) = (vec![None; rig.markers.len()], Usual::new(&rig));
             let (rig, model, frame, found, last, usual) = (&rig, &model, &frame, &found, &last[..], &usual);

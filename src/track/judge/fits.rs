@@ -164,7 +164,7 @@ fn chance(signs: usize) -> f64 {
 /// For each marker, the reference of its stretch where all bands are seen.
 fn whole_stretches(rig: &Rig) -> Vec<usize> {
     let mut stretch: Vec<usize> = (0..rig.markers.len()).collect();
-    for group in groups(rig, |_, _| true) {
+    for group in groups(rig, |_| true) {
         for (marker, _) in group.members {
             if let Some(of_marker) = stretch.get_mut(marker) {
                 *of_marker = group.reference;

@@ -46,17 +46,18 @@ pub(in crate::track) struct Group {
     pub stretch: Stretch,
 }
 
-/// Groups the markers that were found. `together` tells for two markers whether at least two views show both, and for
-/// one marker given twice whether it was found: a group needs two views that show all of it.
-pub(in crate::track) fn groups(rig: &Rig, together: impl Fn(usize, usize) -> bool) -> Vec<Group> {
+/// Groups the markers that were found. `together` tells whether at least two views show all of some markers: a group
+/// needs that.
+pub(in crate::track) fn groups(rig: &Rig, together: impl Fn(&[usize]) -> bool) -> Vec<Group> {
     let coil = rig.catheter.coil;
     let mut joined = vec![false; rig.markers.len()];
     let mut groups = Vec::new();
-    if together(coil, coil) {
+    if together(&[coil]) {
         let mut members = vec![(coil, 0.0)];
         let neighbours = [(coil.checked_sub(1), BASEWARD_DIAMETERS), (Some(coil + 1), TIPWARD_DIAMETERS)];
         for (neighbour, most) in neighbours.into_iter().filter_map(|(neighbour, most)| Some((neighbour?, most))) {
-            let here = neighbour < rig.markers.len() && together(coil, neighbour);
+            let all: Vec<usize> = members.iter().map(|(m, _)| *m).chain([neighbour]).collect();
+            let here = neighbour < rig.markers.len() && together(&all);
             if let Some(distance) = here.then(|| gap(rig, coil, neighbour)).flatten()
                 && distance.gap_m <= most * rig.catheter.diameter_m
             {
@@ -68,7 +69,7 @@ pub(in crate::track) fn groups(rig: &Rig, together: impl Fn(usize, usize) -> boo
         groups.push(group(rig, members, coil));
     }
     for (m, joined) in joined.into_iter().enumerate() {
-        if together(m, m) && !joined {
+        if together(&[m]) && !joined {
             groups.push(group(rig, vec![(m, 0.0)], m));
         }
     }
@@ -147,8 +148,8 @@ mod tests {
     }
 
     /// Markers seen in all views, or not at all.
-    fn found(seen: [bool; 3]) -> impl Fn(usize, usize) -> bool {
-        move |a, b| seen[a] && seen[b]
+    fn found(seen: [bool; 3]) -> impl Fn(&[usize]) -> bool {
+        move |all| all.iter().all(|m| seen[*m])
     }
 
     fn members(groups: &[Group]) -> Vec<Vec<usize>> {
@@ -181,7 +182,16 @@ mod tests {
     /// With three views, coil and tip may be seen in two each with only one in common.
     #[test]
     fn bands_without_two_views_in_common_are_fitted_apart() {
-        assert_eq!(members(&groups(&rig(), |a, b| a == b)), [vec![1], vec![0], vec![2]]);
+        assert_eq!(members(&groups(&rig(), |all| all.len() == 1)), [vec![1], vec![0], vec![2]]);
+    }
+
+    /// Of three views one shows all bands, and each of the others two of them.
+    #[test]
+    fn three_bands_are_together_in_two_views_or_not() {
+        let mut rig = rig();
+        rig.markers[0].centre_m = rig.markers[1].centre_m.map(|m| m - 10e-3);
+        assert_eq!(members(&groups(&rig, found([true; 3]))), [vec![0, 1, 2]]);
+        assert_eq!(members(&groups(&rig, |all| all.len() < 3)), [vec![0, 1], vec![2]]);
     }
 
     #[test]
