@@ -195,9 +195,10 @@ impl Files {
             && let Some(aside) = atomic_file::backup_names(&file).find(|name| !name.exists())
         {
             fs::rename(&file, &aside)?;
+            let of = if timed_alike { "an earlier content of this recording" } else { "another --fps" };
             tracing::warn!(
-                "{}: of an earlier content of this recording, or of other times of its frames, now in {}: its vetoes do \
-                 not count; rename it if frames and stamps are still the same",
+                "{}: of {of}, now in {}: its vetoes do not count; rename it if its frames and their stamps are still the \
+                 same",
                 file.display(),
                 aside.display()
             );
@@ -367,8 +368,14 @@ mod tests {
         assert_eq!(fs::read_to_string(&files.log).unwrap(), "log");
 
         let other_options = Run { full_frame: true, ..run("/a.mkv") };
+        fs::write(folder.join(vetoes::FILE), "vetoes").unwrap();
         drop(files.prepare(&other_options, &[]).unwrap());
         assert!(!files.log.exists() && !folder.join(OVERLAY).exists());
+        // A veto is of a time.
+        assert!(folder.join(vetoes::FILE).exists());
+        let other_options = Run { fps: Some("30".into()), ..run("/a.mkv") };
+        drop(files.prepare(&other_options, &[]).unwrap());
+        assert!(!folder.join(vetoes::FILE).exists());
         assert!(folder.join("notes.txt").exists());
         let read: Run = toml::from_str(&fs::read_to_string(folder.join(RUN)).unwrap()).unwrap();
         assert_eq!(read, other_options);
