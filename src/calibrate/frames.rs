@@ -38,17 +38,8 @@ fn read(source: &mut dyn FrameSource, most: usize, after_ns: i64, with_followers
     let mut wanted: Option<Frame> = None;
     let (mut start_ns, mut length_ns) = (None, 0);
     let mut number = 0;
-    loop {
-        let frame = match source.next_frame() {
-            Ok(Some(frame)) => frame,
-            Ok(None) => break,
-            // Colours can be learned from the readable part.
-            Err(error) if error.is_early_end() && !frames.is_empty() => {
-                tracing::warn!("{error}");
-                break;
-            }
-            Err(error) => return Err(error),
-        };
+    // Colours can be learned from the readable part.
+    while let Some(frame) = source.next_of_readable(!frames.is_empty())? {
         length_ns = frame.stamp.ns.saturating_sub(*start_ns.get_or_insert(frame.stamp.ns));
         if wanted.is_none() && length_ns >= after_ns {
             wanted = Some(frame);

@@ -159,8 +159,8 @@ impl Args {
         Options { skip: self.skip, marker: self.marker.clone(), average, interpolation }
     }
 
-    /// Names of the tables of points, one per run in the order in which they are given: two runs of one pause time have a
-    /// number each.
+    /// Names of the tables of points, one per run in the order in which they are given: two runs of one pause time have
+    /// a number each.
     fn tables_of_points(&self) -> Vec<String> {
         let mut seen: BTreeMap<String, u32> = BTreeMap::new();
         let name = |pause_s: &f64| {

@@ -102,8 +102,8 @@ impl Limits {
         clipped
     }
 
-    /// Checks that every step of `signal`, whose levels are held for `hold_s` or up to its end, reaches its level in that
-    /// time.
+    /// Checks that every step of `signal`, whose levels are held for `hold_s` or up to its end, reaches its level in
+    /// that time.
     ///
     /// # Errors
     /// The first step that does not.

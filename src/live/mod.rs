@@ -97,8 +97,8 @@ pub struct Until {
 }
 
 impl Until {
-    /// Waits for the first bytes of standard input, or its end; `false` when the run would be over before. (What reads it
-    /// cannot be stopped. The run's own duration begins after it.)
+    /// Waits for the first bytes of standard input, or its end; `false` when the run would be over before. (What reads
+    /// it cannot be stopped. The run's own duration begins after it.)
     pub(crate) fn await_standard_input(&self) -> bool {
         let began = Instant::now();
         while !self.stop.load(Ordering::Relaxed) && self.duration.is_none_or(|duration| began.elapsed() < duration) {

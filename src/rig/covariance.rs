@@ -182,7 +182,7 @@ fn noted<'a>(provenance: &'a Table, table: &str, key: &str) -> Option<&'a Value>
 }
 
 /// A number, written with a decimal point or without.
-pub(crate) fn number(value: &Value) -> Option<f64> {
+pub(super) fn number(value: &Value) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64))
 }
 

@@ -10,7 +10,7 @@
 
 mod base_doubts;
 pub mod check;
-pub(crate) mod covariance;
+mod covariance;
 mod draft;
 mod error;
 mod file;
@@ -129,8 +129,8 @@ impl Rig {
         <[f64; 3]>::try_from(sd).ok().map(Vector3::from)
     }
 
-    /// σ of the distance of a marker from the one before it, metres, as `calibrate markers` recorded it; the largest one
-    /// where it did not for all. `None` where all were given.
+    /// σ of the distance of a marker from the one before it, metres, as `calibrate markers` recorded it; the largest
+    /// one where it did not for all. `None` where all were given.
     pub fn spacing_sd_m(&self, marker: usize) -> Option<f64> {
         let recorded = self.provenance.get("markers")?.get("spacing_sd_mm")?.as_array()?;
         let sd_mm: Vec<f64> = recorded.iter().filter_map(covariance::number).collect();

@@ -23,9 +23,9 @@ pub struct Ticks {
     pub modulus: u64,
     /// Usual time between frames, nanoseconds.
     pub interval_ns: i64,
-    /// Time between the frames of its first change, and the longest from there to its last one, nanoseconds.
+    /// Time between the frames of its first change, nanoseconds.
     pub first_ns: i64,
-    /// See [`Ticks::first_ns`].
+    /// Longest time between two frames from there to its last change, nanoseconds.
     pub longest_ns: i64,
 }
 

@@ -73,8 +73,7 @@ pub struct VideoFile {
     frame_count_hint: Option<u64>,
     ended: bool,
     faults: StreamFaults,
-    /// Whether a frame had a stamp, and how many since then had none.
-    is_stamped: bool,
+    /// Frames without a time stamp since the last with one.
     unstamped_in_a_row: u32,
     seq: u64,
     /// Live: when the packet of the last frame passed on was read.
@@ -180,7 +179,6 @@ impl VideoFile {
             span: options.span,
             ended: false,
             faults: StreamFaults::default(),
-            is_stamped: false,
             unstamped_in_a_row: 0,
             seq: 0,
             arrival: None,
@@ -394,7 +392,7 @@ impl VideoFile {
     /// streams or of a span, and where the packet with the stamp was lost.
     fn stamp_if_any(&mut self, picture: &Decoded) -> Result<Option<Timestamp>, SourceError> {
         let stamp = self.stamp(picture);
-        let has_others = self.clock == Clock::Stream || self.is_stamped || self.span.from_ns.is_some();
+        let has_others = self.clock == Clock::Stream || self.latest_pts.is_some() || self.span.from_ns.is_some();
         match &stamp {
             // A recording or stream without times is refused.
             Err(SourceError::NoTime { .. })
@@ -411,7 +409,7 @@ impl VideoFile {
                 }
                 return Ok(None);
             }
-            Ok(_) => (self.is_stamped, self.unstamped_in_a_row) = (true, 0),
+            Ok(_) => self.unstamped_in_a_row = 0,
             Err(_) => {}
         }
         stamp.map(Some)

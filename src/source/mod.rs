@@ -130,6 +130,21 @@ pub trait FrameSource {
     /// [`SourceError`] when the stream breaks; frames already handed out stay valid.
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError>;
 
+    /// The same, for whom a recording that ends early is valid as far as it goes: that is its end, with a warning, if
+    /// `some_read`.
+    ///
+    /// # Errors
+    /// As [`FrameSource::next_frame`], but for that.
+    fn next_of_readable(&mut self, some_read: bool) -> Result<Option<Frame>, SourceError> {
+        match self.next_frame() {
+            Err(error) if error.is_early_end() && some_read => {
+                tracing::warn!("{error}");
+                Ok(None)
+            }
+            next => next,
+        }
+    }
+
     /// Width and height of every frame, pixels.
     fn size_px(&self) -> [u32; 2];
 

@@ -76,16 +76,16 @@ pub(super) fn from_ticks(recording: &Recording, pause_ns: i64, commands: usize) 
     let first = |note: Option<String>| Ticked { start_ns, start_sd_ns: ticks.first_sd_ns(pause_ns), pause_ns, note };
     if !ticks.resolves(pause_ns) {
         let note = format!(
-            "a count of commands modulo {} aliases at this pause: only the start is taken from it, which may be a frame \
-             late; the phase has no σ",
+            "a count of commands modulo {} aliases at this pause: only the start is taken from it, which may be a \
+             frame late; the phase has no σ",
             ticks.modulus
         );
         return Ok(Some(Ticked { start_sd_ns: None, ..first(Some(note)) }));
     }
     if !ticks.resolves_all(pause_ns) {
         let note = format!(
-            "{:.3} s without a frame are too long for a count of commands modulo {}: only the start is taken from it, and \
-             --pause as it is",
+            "{:.3} s without a frame are too long for a count of commands modulo {}: only the start is taken from it, \
+             and --pause as it is",
             seconds(ticks.longest_ns),
             ticks.modulus
         );

@@ -219,16 +219,7 @@ pub enum BaseError {
 pub fn observe(rig: &Rig, source: &mut dyn FrameSource, mut progress: impl FnMut(u64)) -> Result<Observed, BaseError> {
     let mut tracker = Tracker::new(rig, TrackOptions::default())?;
     let mut observed = Observed::default();
-    loop {
-        let frame = match source.next_frame() {
-            Ok(Some(frame)) => frame,
-            Ok(None) => break,
-            Err(error) if error.is_early_end() && observed.frames > 0 => {
-                tracing::warn!("{error}");
-                break;
-            }
-            Err(error) => return Err(error.into()),
-        };
+    while let Some(frame) = source.next_of_readable(observed.frames > 0)? {
         let estimate = tracker.step(&frame)?;
         while let Some(warning) = tracker.warning() {
             tracing::warn!("{warning}");

@@ -233,6 +233,7 @@ enum Pair {
     SameSide,
 }
 
+/// All pairs of walls.
 fn pairs_of_walls(geometry: &Geometry) -> impl Iterator<Item = ([usize; 2], Pair)> {
     let normal = |surface: usize| geometry.surfaces[surface].1.plane().normal();
     let pairs = walls(geometry).flat_map(|a| walls(geometry).filter(move |b| *b > a).map(move |b| [a, b]));

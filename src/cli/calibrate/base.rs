@@ -4,7 +4,6 @@ use super::super::progress::Progress;
 use super::super::{Exit, Failure, fitting};
 use super::{can_be_written, save};
 use crate::calibrate::base::{BaseCalibration, BaseError, Field, Observed, Run, calibrate_base, observe};
-use crate::rig::covariance::number;
 use crate::rig::{Base, Rig, base_doubts};
 use crate::source::{FrameRate, FrameSource as _, SourceOptions};
 use nalgebra::{Matrix3, Vector3};
@@ -162,10 +161,9 @@ fn known_field(args: &BaseArgs, rig: &Rig) -> Result<KnownField, Failure> {
     // As written by this command: the source of the earlier b0, and the σ of the frame's rotation about z.
     let before = rig.provenance.get("base").and_then(|base| base.as_table());
     let from = before.and_then(|table| table.get("b0_from")?.as_str()).unwrap_or("the rig file");
-    let turn_sd_deg = before.and_then(|table| number(table.get("axes_sd_deg")?.as_array()?.get(2)?));
     Ok(KnownField {
         direction: base.b0,
-        turn_sd_rad: turn_sd_deg.unwrap_or(0.0).to_radians(),
+        turn_sd_rad: rig.axes_sd_rad().map_or(0.0, |sd_rad| sd_rad.z),
         name: format!("{file}: base.b0"),
         from: from.to_owned(),
     })

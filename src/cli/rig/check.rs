@@ -51,16 +51,7 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
     let mut tracker = Tracker::new(&rig, TrackOptions::default()).map_err(Failure::usage)?;
     let mut poses = Vec::new();
     let mut frames = 0;
-    loop {
-        let frame = match source.next_frame() {
-            Ok(Some(frame)) => frame,
-            Ok(None) => break,
-            Err(error) if error.is_early_end() && frames > 0 => {
-                tracing::warn!("{error}");
-                break;
-            }
-            Err(error) => return Err(Failure::new(Exit::Failed, error)),
-        };
+    while let Some(frame) = source.next_of_readable(frames > 0).map_err(|e| Failure::new(Exit::Failed, e))? {
         let estimate = tracker.step(&frame).map_err(Failure::usage)?;
         while let Some(warning) = tracker.warning() {
             tracing::warn!("{}: {warning}", recording.display());

@@ -197,8 +197,8 @@ impl Files {
             fs::rename(&file, &aside)?;
             let of = if timed_alike { "an earlier content of this recording" } else { "another --fps" };
             tracing::warn!(
-                "{}: of {of}, now in {}: its vetoes do not count; rename it if its frames and their stamps are still the \
-                 same",
+                "{}: of {of}, now in {}: its vetoes do not count; rename it if its frames and their stamps are still \
+                 the same",
                 file.display(),
                 aside.display()
             );

@@ -74,8 +74,8 @@ impl Trend {
         Self { input: line(|s| &s.input), output: line(|s| &s.output) }
     }
 
-    /// Removes it. What was taken off input and output are not at rest together: the difference is left to be fitted, and
-    /// so is the state at the beginning.
+    /// Removes it. What was taken off input and output are not at rest together: the difference is left to be fitted,
+    /// and so is the state at the beginning.
     pub(crate) fn remove(&self, segment: &mut Segment, period_s: f64) {
         let start_s = segment.start_s;
         let off = |signal: &mut [f64], line: Line| {

@@ -162,8 +162,8 @@ impl Parser {
         }
     }
 
-    /// Reads lines; at the end of what there is it waits so long, and reads on. Of a table that is written meanwhile, what
-    /// there is when the run ends is read as well.
+    /// Reads lines; at the end of what there is it waits so long, and reads on. Of a table that is written meanwhile,
+    /// what there is when the run ends is read as well.
     pub(super) fn lines(&mut self, mut from: impl Read, mut start: Start, idle: Duration, stop: &AtomicBool) {
         let (mut bytes, mut line) = ([0; 4096], Vec::new());
         let mut until = None;

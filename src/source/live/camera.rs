@@ -7,8 +7,8 @@
 //! (`one_clock`).
 //!
 //! A camera that is lost, or silent for [`SILENCE`], is reopened, trying once a second, and set up as before; the
-//! interruption is counted. The frames lost in it are in the gap of the frame after it where the camera's clock went on,
-//! otherwise only those lost before it.
+//! interruption is counted. The frames lost in it are in the gap of the frame after it where the camera's clock went
+//! on, otherwise only those lost before it.
 
 use super::super::counter::{Count, FrameCounter, Wrap};
 use super::super::host::{ClockFit, HostClock};
@@ -158,8 +158,8 @@ impl Camera {
             Count::Restart if std::mem::replace(&mut self.restart_named, true) => {}
             Count::Restart => {
                 tracing::warn!(
-                    "{}: the camera's frame counter restarted at {}, or stands still: what was lost there is not known; \
-                     told once",
+                    "{}: the camera's frame counter restarted at {}, or stands still: what was lost there is not \
+                     known; told once",
                     self.name,
                     taken.number
                 );

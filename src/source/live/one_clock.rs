@@ -9,11 +9,12 @@
 //! its clock began anew: all stamps from there on are shifted by what makes them agree with the host's. A clock that
 //! goes back by more than that without an interruption, or ahead of the host's, began anew as well: the sender was
 //! restarted faster than its absence was noticed, or its clock was set. (Ahead only where frames came at the pace of
-//! their stamps until then: a recording that is sent as fast as it goes has holes.) Where the shift before suits again, a
-//! single stamp was wrong.
+//! their stamps until then: a recording that is sent as fast as it goes has holes.) Where the shift before suits again,
+//! a single stamp was wrong.
 //!
-//! Cannot tell: that a stamp in the first second of a run is too late; how long such an interruption was, better than arrivals vary (some hundredths of a second, with
-//! network streams some tenths); a clock that was set by less than [`ANEW_NS`].
+//! Cannot tell: that a stamp in the first second of a run is too late; how long such an interruption was, better than
+//! arrivals vary (some hundredths of a second, with network streams some tenths); a clock that was set by less than
+//! [`ANEW_NS`].
 
 use super::super::times::seconds;
 
@@ -59,8 +60,8 @@ impl OneClock {
         self.interrupted = true;
     }
 
-    /// Whether the clock began anew with the next frame, which is stamped `stamp_ns` and arrived at `arrival_ns`; `name`
-    /// of the source, for messages.
+    /// Whether the clock began anew with the next frame, which is stamped `stamp_ns` and arrived at `arrival_ns`;
+    /// `name` of the source, for messages.
     pub(super) fn begins_anew(&mut self, stamp_ns: i64, arrival_ns: i64, name: &str) -> bool {
         let interrupted = std::mem::take(&mut self.interrupted);
         let Some(last) = self.last else { return false };

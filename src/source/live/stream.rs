@@ -4,8 +4,8 @@
 //! A network stream that ends or falls silent is reopened, trying once a second, until it is back or the run is
 //! stopped, and the interruption is counted ([`StreamFaults::interruptions`]). Where its clock went on, the frames lost
 //! meanwhile are the gap of its first frame; stamps that restart are continued (`one_clock`), and what was lost is
-//! unknown and counts as 0. Standard input ends for good. A stream that is joined between two key frames begins with the
-//! next.
+//! unknown and counts as 0. Standard input ends for good. A stream that is joined between two key frames begins with
+//! the next.
 //!
 //! A stream of bare pictures (Motion JPEG over HTTP, raw H.264) has no times, and those that libav gives it are
 //! invented: its frames are stamped on arrival ([`Clock::HostArrival`]), and lost ones show only as long steps, as of
