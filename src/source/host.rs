@@ -20,6 +20,9 @@
 //!
 //! A camera that loses frames and counts only the others, in its stamps, cannot be told from a path that became slower:
 //! both are late from then on, and the line stays. That is told ([`ClockFit::is_late`]).
+//!
+//! The first frames may have waited: a server sends what it kept since its last key frame at once. Nothing is known yet
+//! that tells how long; the frames after them do ([`ClockFit::began_late`]).
 
 use std::collections::VecDeque;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
@@ -86,12 +89,16 @@ const CAUGHT_UP_NS: i64 = 10_000_000;
 /// Frames are late if the earliest of every bin, for so many bins, is later than the line by this.
 const LATE_NS: i64 = 100_000_000;
 const LATE_BINS: usize = 5;
+/// Longer than what a server keeps for those who join, in bins.
+const JOINING_BINS: usize = 15;
 
 /// The mapping of another clock to the host's.
 #[derive(Debug, Clone, Default)]
 pub struct ClockFit {
     /// (stamp, least offset at it) of each bin, oldest first.
     least: VecDeque<(i64, i64)>,
+    /// Offset of the first frame of this line.
+    first: Option<i64>,
     last: Option<HostTime>,
     /// The stamp of the frame before, by its own clock.
     last_stamp_ns: Option<i64>,
@@ -116,6 +123,7 @@ impl ClockFit {
         let restart = goes_back || beyond < -STEP_NS || is_far && is_steady;
         if restart {
             self.least.clear();
+            self.first = None;
             self.restarts += 1;
         }
         if restart || !is_behind || is_steady {
@@ -142,7 +150,20 @@ impl ClockFit {
     /// The other clock began anew with the next frame.
     pub(crate) fn begin_anew(&mut self) {
         self.least.clear();
-        (self.last_stamp_ns, self.far_since) = (None, None);
+        (self.first, self.last_stamp_ns, self.far_since) = (None, None, None);
+    }
+
+    /// How much later the first frame of the line arrived than those after it say, nanoseconds, if that is much. Known
+    /// a second after the frames that had waited.
+    pub fn began_late(&self) -> Option<i64> {
+        if self.least.len() > JOINING_BINS {
+            return None;
+        }
+        let least = self.least.iter().map(|(_, offset)| *offset).min()?;
+        let has_caught_up = |(_, offset): &(i64, i64)| offset.saturating_sub(least) < CAUGHT_UP_NS;
+        let since = self.least.iter().position(has_caught_up)?;
+        let late = self.first?.saturating_sub(least);
+        (late > LATE_NS && since + 1 < self.least.len()).then_some(late)
     }
 
     /// By how much all frames of the last seconds arrived later than the line, nanoseconds, if that is much.
@@ -169,6 +190,7 @@ impl ClockFit {
     }
 
     fn add(&mut self, stamp_ns: i64, offset: i64) {
+        self.first.get_or_insert(offset);
         match self.least.back_mut() {
             Some((at, least)) if stamp_ns.div_euclid(BIN_NS) == at.div_euclid(BIN_NS) => {
                 if offset < *least {
@@ -349,6 +371,24 @@ mod tests {
                 assert!(told_ns.is_none() || k >= 1200 + 5 * 60, "told at frame {k}");
             }
             assert_eq!((fit.restarts(), told_ns.is_some()), (restarts, restarts == 0));
+        }
+    }
+
+    /// A server sends at once what it kept since its last key frame.
+    #[test]
+    fn first_frames_that_had_waited_are_told() {
+        for kept_ns in [0, 250_000_000, 3_700_000_000] {
+            let (mut fit, mut told) = (ClockFit::default(), None);
+            for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(0.0, 30).enumerate() {
+                let joined_ns = frames(0.0, 1).next().unwrap().2 + kept_ns + k as i64 * 20_000;
+                let time = fit.map(stamp_ns, arrival_ns.max(joined_ns));
+                let late_ns = time.stamp_ns - taken_ns;
+                assert!(late_ns.abs() < 20_000_000 || taken_ns < joined_ns, "frame {k}: {late_ns}");
+                told = told.or(fit.began_late());
+                assert!(told.is_none() || taken_ns > joined_ns, "frame {k}");
+            }
+            assert_eq!(told.is_some(), kept_ns > 0);
+            assert!((told.unwrap_or(0) - kept_ns).abs() < 20_000_000, "{kept_ns}: {told:?}");
         }
     }
 

@@ -13,8 +13,9 @@
 //! a single stamp was wrong.
 //!
 //! Cannot tell: that a stamp in the first second of a run is too late; how long such an interruption was, better than
-//! arrivals vary (some hundredths of a second, with network streams some tenths); a clock that was set by less than
-//! [`ANEW_NS`].
+//! arrivals vary (some hundredths of a second, with network streams some tenths; seconds with servers that begin with
+//! what they kept, which is told: [`ClockFit::began_late`](super::super::host::ClockFit::began_late)); a clock that was
+//! set by less than [`ANEW_NS`].
 
 use super::super::times::seconds;
 
@@ -101,6 +102,11 @@ impl OneClock {
         *least_ns = Some(least_ns.map_or(delay_ns, |least_ns| least_ns.min(delay_ns)));
         self.last = Some(Last { stamp_ns, shifted_ns, host_ns });
         shifted_ns
+    }
+
+    /// Whether something is added to its stamps.
+    pub(super) fn is_shifted(&self) -> bool {
+        self.setting.shift_ns != 0
     }
 
     /// Whether frames came about as fast as they were taken.

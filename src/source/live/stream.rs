@@ -14,6 +14,7 @@
 use super::super::host::{ClockFit, HostClock};
 use super::super::names::without_credentials;
 use super::super::stamps::StampWatch;
+use super::super::times::seconds;
 use super::super::{Clock, Frame, FrameSource, HostTime, SourceError, StreamFaults, Timestamp, VideoFile};
 use super::catching_up::CatchingUp;
 use super::one_clock::OneClock;
@@ -42,6 +43,8 @@ pub struct Stream {
     late_named: bool,
     /// Whether a clock that was set was told, since the stream last came back.
     restart_named: bool,
+    /// Whether first frames that had waited were told, since then.
+    waited_named: bool,
     /// Of a stream without times.
     arrivals: Arrivals,
     stop: Arc<AtomicBool>,
@@ -91,6 +94,7 @@ impl Stream {
             of_run: OneClock::default(),
             late_named: false,
             restart_named: false,
+            waited_named: false,
             arrivals,
             stop,
             seq: 0,
@@ -113,6 +117,18 @@ impl Stream {
                  `host_stamp_ns`, by which currents are matched, follows the arrivals anew; told once",
                 self.name,
                 self.seq
+            );
+        }
+        if !self.waited_named
+            && let Some(waited_ns) = self.fit.began_late()
+        {
+            self.waited_named = true;
+            let stamps = if self.of_run.is_shifted() { "; so are all stamps since its clock began anew" } else { "" };
+            tracing::warn!(
+                "{}: its first frames had waited for up to {:.1} s, as of a server that begins with its last key \
+                 frame: their `host_stamp_ns`, by which currents are matched, is late by as much{stamps}",
+                self.name,
+                seconds(waited_ns)
             );
         }
         if !self.late_named
@@ -213,7 +229,7 @@ impl FrameSource for Stream {
                 self.before.get_or_insert(stamps);
             }
             self.past.interruptions += 1;
-            self.restart_named = false;
+            (self.restart_named, self.waited_named) = (false, false);
             self.of_run.interrupt();
             self.arrivals = Arrivals::new(&self.name);
         }
@@ -222,10 +238,6 @@ impl FrameSource for Stream {
 
     fn size_px(&self) -> [u32; 2] {
         self.size_px
-    }
-
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
     }
 
     fn faults(&self) -> StreamFaults {
