@@ -112,6 +112,33 @@ fn places_that_were_given_stay_and_the_others_are_measured_from_them() {
     }
 }
 
+/// What an earlier run measured is measured again; what was written by hand, before or since, stays.
+#[test]
+fn of_bands_that_are_taught_again_only_what_was_given_stays() {
+    let bench = Bench::new();
+    let bare = bench.folder.path().join("bare.toml");
+    let mut rig: toml::Table = untaught_rig().parse().unwrap();
+    rig.remove("provenance");
+    std::fs::write(&bare, rig.to_string()).unwrap();
+    let taught = |at_mm: [(usize, Option<f64>); 2]| {
+        let mut rig: toml::Table = std::fs::read_to_string(&bare).unwrap().parse().unwrap();
+        let markers = rig["marker"].as_array_mut().unwrap();
+        for (band, at_mm) in at_mm {
+            markers[band].as_table_mut().unwrap().extend(at_mm.map(|mm| ("centre_mm".to_owned(), mm.into())));
+        }
+        std::fs::write(&bare, rig.to_string()).unwrap();
+        ended_with(&bench.pick("rest", [BASE, COIL, TIP]), 0);
+        std::fs::copy(bench.learned(), &bare).unwrap();
+        Rig::load(&bench.learned()).unwrap().markers.iter().map(|m| m.centre_m.unwrap() * 1e3).collect::<Vec<_>>()
+    };
+    let first = taught([(0, Some(12.0)), (1, None)]);
+    assert!((first[1] - 91.0).abs() < 0.5, "{first:?}");
+    let moved = taught([(0, Some(22.0)), (1, None)]);
+    assert!((moved[0] - 22.0).abs() < 1e-9 && (moved[1] - first[1] - 10.0).abs() < 1e-3, "{moved:?}");
+    let corrected = taught([(0, Some(22.0)), (1, Some(101.3))]);
+    assert!((corrected[1] - 101.3).abs() < 1e-9, "{corrected:?}");
+}
+
 /// In any direction, in any view, in another frame; on a rig that has learned before, too.
 #[test]
 fn picks_beside_the_bands_teach_and_teach_the_same_again() {

@@ -13,7 +13,7 @@ use crate::report::teaching::{self, TeachingInfo};
 use crate::rig::Rig;
 use crate::source::{FrameRate, SourceOptions};
 use clicks::{PickArg, RegionArg, exposure_s};
-use picked::{picks, places, stiff_enough_to_bend};
+use picked::{is_noted, note_places, picks, stiff_enough_to_bend};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -97,7 +97,7 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
         return Err(failure(args, error, &note));
     }
     stiff_enough_to_bend(args, &done.rig.markers, done.rig.catheter.coil)?;
-    let provenance = provenance(args, &done, places(&rig), exposure_s.is_some());
+    let provenance = provenance(args, &done, &rig, exposure_s.is_some());
     done.rig.provenance.insert("markers".into(), provenance.into());
     print(&words::describe(&done))?;
     for warning in words::warnings(&done) {
@@ -145,14 +145,21 @@ const EXPOSURE_FROM: &str = "exposure_from";
 const STATED: &str = "stated";
 const LEARNED: &str = "learned";
 const NOT_KNOWN: &str = "not known";
+/// The one that was learned.
+const LEARNED_EXPOSURE_MS: &str = "learned_exposure_ms";
 
 /// The exposure of the rig, if it was stated. Files of older versions do not say where it is from once bands were
 /// learned: then it is learned again.
 fn stated_exposure_s(rig: &Rig) -> Option<f64> {
     let learned = rig.provenance.get("markers");
     let from = learned.and_then(|noted| noted.get(EXPOSURE_FROM)?.as_str());
-    // One that was not known then was stated since.
-    let is_stated = learned.is_none() || matches!(from, Some(STATED | NOT_KNOWN));
+    let is_another =
+        |noted: &toml::Value| !rig.camera.exposure_s.is_some_and(|exposure_s| is_noted(Some(noted), exposure_s * 1e3));
+    // One that was not known then, or was another, was stated since.
+    let is_stated = match (learned, from) {
+        (None, _) | (_, Some(STATED | NOT_KNOWN)) => true,
+        (Some(learned), _) => learned.get(LEARNED_EXPOSURE_MS).is_some_and(is_another),
+    };
     if let Some(exposure_s) = rig.camera.exposure_s.filter(|_| !is_stated && from.is_none()) {
         tracing::warn!(
             "the rig's exposure of {} ms may have been stated or learned: it is learned again, unless \
@@ -163,15 +170,18 @@ fn stated_exposure_s(rig: &Rig) -> Option<f64> {
     rig.camera.exposure_s.filter(|_| is_stated)
 }
 
-fn provenance(args: &MarkersArgs, done: &Teaching, places: &str, exposure_is_stated: bool) -> toml::Table {
+fn provenance(args: &MarkersArgs, done: &Teaching, before: &Rig, exposure_is_stated: bool) -> toml::Table {
     let mut table = toml::Table::new();
     let file = args.source.file_name().unwrap_or_default().to_string_lossy().into_owned();
     table.insert("made_by".into(), format!("catoptra {} calibrate markers", env!("CARGO_PKG_VERSION")).into());
     table.insert("recording".into(), file.into());
-    table.insert("places".into(), places.into());
+    note_places(&mut table, before, &done.rig);
     let exposure_from = match done.rig.camera.exposure_s {
         Some(_) if exposure_is_stated => STATED,
-        Some(_) => LEARNED,
+        Some(exposure_s) => {
+            table.insert(LEARNED_EXPOSURE_MS.into(), (exposure_s * 1e3).into());
+            LEARNED
+        }
         None => NOT_KNOWN,
     };
     table.insert(EXPOSURE_FROM.into(), exposure_from.into());
@@ -207,6 +217,13 @@ mod tests {
         };
         let found = [Some(STATED), Some(LEARNED), Some(NOT_KNOWN), None].map(&mut kept);
         assert_eq!(found, [Some(0.01), None, Some(0.01), None]);
+        // The one that was learned, and one that was written since.
+        for (learned_ms, stated) in [(10.000_000_3, None), (9.5, Some(0.01))] {
+            let mut noted = toml::Table::from_iter([(EXPOSURE_FROM.to_owned(), LEARNED.into())]);
+            noted.insert(LEARNED_EXPOSURE_MS.into(), toml::Value::Float(learned_ms));
+            rig.provenance.insert("markers".into(), noted.into());
+            assert_eq!(stated_exposure_s(&rig), stated);
+        }
         rig.provenance.remove("markers");
         assert_eq!(stated_exposure_s(&rig), Some(0.01));
     }

@@ -66,9 +66,11 @@ pub(in super::super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failur
         )));
     }
     let catheter = catheter(args, &draft, &names)?;
-    let given = keeps_places(&draft);
     let old = std::mem::take(&mut draft.markers);
-    let centre_m = |name: &str| old.iter().find(|m| m.name == name).and_then(|m| m.centre_m).filter(|_| given);
+    let centre_m = |name: &str| {
+        let centre_m = old.iter().find(|m| m.name == name).and_then(|m| m.centre_m);
+        centre_m.filter(|centre_m| is_given(&draft, name, *centre_m))
+    };
     let marker = |&(name, length_m): &(&str, f64)| Marker {
         name: name.to_owned(),
         length_m,
@@ -76,7 +78,8 @@ pub(in super::super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failur
         colours: Vec::new(),
         usual_residuals: Vec::new(),
     };
-    draft.markers = bands.iter().map(marker).collect();
+    let markers = bands.iter().map(marker).collect();
+    draft.markers = markers;
     draft.catheter = Some(catheter);
     let checked = draft.checked(&args.rig);
     Ok(checked
@@ -110,27 +113,43 @@ fn bands(args: &MarkersArgs) -> Result<Vec<(&str, f64)>, Failure> {
     bands.into_iter().map(|band| Ok((band.0, length(band)?))).collect()
 }
 
-/// Whether the file's places along the tube are kept: if any were written by hand, not learned.
-fn keeps_places(draft: &Draft) -> bool {
-    let learned = draft.provenance.get("markers").and_then(|markers| markers.get("places"));
-    match draft.provenance.get("markers") {
-        None => true,
-        Some(_) => matches!(learned.and_then(toml::Value::as_str), Some(GIVEN | PARTLY_GIVEN)),
+/// Whether a band's place along the tube in the file was given by hand, not measured there by an earlier run.
+fn is_given(draft: &Draft, name: &str, centre_m: f64) -> bool {
+    let Some(noted) = draft.provenance.get("markers") else { return true };
+    match noted.get(MEASURED_MM) {
+        Some(measured) => !is_noted(measured.get(name), centre_m * 1e3),
+        // Files of older versions do not say which.
+        None => matches!(noted.get(PLACES).and_then(toml::Value::as_str), Some(GIVEN | PARTLY_GIVEN)),
     }
 }
 
 /// Where the places along the tube are from: all, some or none of the rig's were given.
+const PLACES: &str = "places";
 const GIVEN: &str = "given";
 const PARTLY_GIVEN: &str = "partly given";
 const MEASURED: &str = "measured";
+/// Those that were measured.
+const MEASURED_MM: &str = "measured_mm";
 
-/// Where those of a rig will be from after the others have been measured.
-pub(super) fn places(rig: &Rig) -> &'static str {
-    match rig.markers.iter().filter(|marker| marker.centre_m.is_some()).count() {
+/// Notes where the places of the `learned` bands are from; `before` is the rig with those that were given.
+pub(super) fn note_places(table: &mut toml::Table, before: &Rig, learned: &Rig) {
+    let measured = before.markers.iter().zip(&learned.markers).filter(|(before, _)| before.centre_m.is_none());
+    let measured: toml::Table =
+        measured.filter_map(|(_, learned)| Some((learned.name.clone(), (learned.centre_m? * 1e3).into()))).collect();
+    let places = match before.markers.iter().filter(|marker| marker.centre_m.is_some()).count() {
         0 => MEASURED,
-        given if given == rig.markers.len() => GIVEN,
+        given if given == before.markers.len() => GIVEN,
         _ => PARTLY_GIVEN,
-    }
+    };
+    table.insert(PLACES.into(), places.into());
+    table.insert(MEASURED_MM.into(), measured.into());
+}
+
+/// Whether a value of the file is the one that was noted when it was learned: if not, it was written by hand since.
+pub(super) fn is_noted(noted: Option<&toml::Value>, value: f64) -> bool {
+    /// More than the file's digits.
+    const ROUNDING: f64 = 1e-5;
+    noted.and_then(toml::Value::as_float).is_some_and(|noted| (noted - value).abs() < ROUNDING)
 }
 
 /// The tube and the roles of its bands: as requested, else those of the rig, else the usual ones.
