@@ -82,10 +82,6 @@ impl FrameSource for Memory {
     fn size_px(&self) -> [u32; 2] {
         [1280, 1024]
     }
-
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
 }
 
 /// The sample's pictures, as far as they are used.

@@ -64,10 +64,6 @@ impl FrameSource for MyCamera {
     fn size_px(&self) -> [u32; 2] {
         self.size_px
     }
-
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
 }
 
 fn main() -> Result<(), Box<dyn Error>> {

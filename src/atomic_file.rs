@@ -1,8 +1,12 @@
 //! Atomic replacement of files: a reader finds the old file or the new one, never half of one.
 
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
+
+/// How the name of a partial file ends.
+const PARTIAL: &str = ".new";
 
 /// Writes a file in one step, replacing any that exists.
 ///
@@ -44,7 +48,7 @@ impl NewFile {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "is a device, a pipe or a folder, not a file"));
         }
         let mut beside = place.as_os_str().to_owned();
-        beside.push(format!(".{}.new", std::process::id()));
+        beside.push(format!(".{}{PARTIAL}", std::process::id()));
         let new = Self { beside: beside.into(), place: place.to_path_buf() };
         let file = File::create(&new.beside)?;
         if let Ok(old) = fs::metadata(place) {
@@ -67,6 +71,12 @@ impl Drop for NewFile {
         // Fails when the file is already in place, or was never made.
         let _ = fs::remove_file(&self.beside);
     }
+}
+
+/// Whether `name` is that of a partial file, which a killed process left beside the file `of`.
+pub(crate) fn is_partial(name: &OsStr, of: &str) -> bool {
+    let number = name.to_str().and_then(|name| name.strip_prefix(of)?.strip_prefix('.')?.strip_suffix(PARTIAL));
+    number.is_some_and(|number| !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()))
 }
 
 /// Names for a file's backup, the preferred first: `.bak`, `.bak2`, … beside it.

@@ -70,73 +70,41 @@
 //! Each module that can fail has one error `enum`, with the numbers that explain the failure. A frame that cannot be
 //! measured is data, not an error. Nothing here panics on bad input.
 
-// In the order of the data, as in the table in ARCHITECTURE.md.
-pub(crate) mod atomic_file;
-
-mod catch_panic;
-
-mod csv_lines;
-
-mod median;
-
-mod plural;
-
-pub(crate) mod vetoes;
-
-mod digits;
-
-mod text_file;
-
-mod normal;
-
-mod varying_noise;
-mod whitening;
-
-pub mod optics;
-
-pub mod log;
-
-pub mod rig;
-
-pub mod source;
-
-pub mod estimate;
-
-pub mod segment;
-
-pub mod track;
-
+// In alphabetical order; the order of the data is in ARCHITECTURE.md.
+mod archive;
+mod atomic_file;
 pub mod calibrate;
-
-pub mod tally;
-
-pub mod sink;
-
-pub mod pipeline;
-
-pub(crate) mod archive;
-
-pub(crate) mod convert;
-
-pub mod live;
-
-pub mod series;
-
-pub(crate) mod excite;
-
+mod catch_panic;
 pub mod catheter;
-
-pub mod simulate;
-
-pub mod identify;
-
-pub(crate) mod validate;
-
-pub mod report;
-
-pub(crate) mod studio;
-
 pub mod cli;
+mod convert;
+mod csv_lines;
+mod digits;
+pub mod estimate;
+mod excite;
+pub mod identify;
+pub mod live;
+pub mod log;
+mod median;
+mod normal;
+pub mod optics;
+pub mod pipeline;
+mod plural;
+pub mod report;
+pub mod rig;
+pub mod segment;
+pub mod series;
+pub mod simulate;
+pub mod sink;
+pub mod source;
+mod studio;
+pub mod tally;
+mod text_file;
+pub mod track;
+mod validate;
+mod varying_noise;
+mod vetoes;
+mod whitening;
 
 #[doc(hidden)]
 pub mod fuzz;

@@ -13,7 +13,7 @@ const UTF_16: &str = "it is text in UTF-16: save it as UTF-8";
 pub(crate) fn read(path: &Path) -> io::Result<String> {
     let bytes = std::fs::read(path)?;
     let utf_16 = is_utf_16(&bytes);
-    let why = if utf_16 { UTF_16 } else { "it is no text in UTF-8" };
+    let why = if utf_16 { UTF_16 } else { "it is not text in UTF-8" };
     String::from_utf8(bytes).map_err(|_| io::Error::new(ErrorKind::InvalidData, why))
 }
 

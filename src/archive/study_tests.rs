@@ -80,7 +80,7 @@ fn a_table_that_is_not_the_one_its_summary_describes_leaves_its_run_out() {
             "track.csv:1: column 4 is `theta_sd_deg`, it should be `theta_deg`",
             Box::new(|text| text.replacen("theta_deg,", "", 1).replace(".5,ok", ",ok")),
         ),
-        ("track.csv:3: theta_deg is 1;5, which is no number", Box::new(|text| text.replacen(",1,1.5", ",1,1;5", 1))),
+        ("track.csv:3: theta_deg is 1;5, which is not a number", Box::new(|text| text.replacen(",1,1.5", ",1,1;5", 1))),
         ("track.csv:4: seq is ``, it should be a whole number", Box::new(|text| text.replace("\n2,", "\n,"))),
     ];
     for (reason, spoil) in cases {

@@ -25,7 +25,7 @@ pub(crate) enum SummaryError {
     #[error("{}: cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
     /// It has another format, or is from another program.
-    #[error("{}: is no summary of a run: {reason}", path.display())]
+    #[error("{}: is not a summary of a run: {reason}", path.display())]
     Form { path: PathBuf, reason: String },
 }
 

@@ -36,7 +36,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let results = Results { folder: &args.out, command: "collect", recordings: &args.folders, inputs, files };
     results.check()?;
     if let Some(missing) = args.folders.iter().find(|folder| !folder.is_dir()) {
-        let what = if missing.exists() { "is no folder: give that of a run, or one above" } else { "no such folder" };
+        let what =
+            if missing.exists() { "is not a folder: give that of a run, or one above" } else { "no such folder" };
         return Err(Failure::usage(format!("{}: {what}", missing.display())));
     }
     let study = Study::find(&args.folders, go_on).map_err(failure)?;

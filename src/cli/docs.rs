@@ -16,7 +16,7 @@ pub(super) struct CompletionsArgs {
 /// Arguments of `catoptra man`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ManArgs {
-    /// Folder for the pages, such as ~/.local/share/man/man1; made when it is not there
+    /// Folder for the pages, such as ~/.local/share/man/man1; created if missing
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 }

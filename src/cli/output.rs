@@ -3,7 +3,8 @@
 use super::results::RUN;
 use super::{Exit, Failure};
 use crate::atomic_file;
-use std::io::{ErrorKind, Write as _};
+use std::fs::File;
+use std::io::{ErrorKind, Read as _, Write as _};
 use std::path::Path;
 
 /// Writes a whole result. A reader that stops early (`| head`) is not an error.
@@ -34,6 +35,13 @@ pub(super) fn is_free(path: &Path, is_kind: impl Fn(&str) -> bool, kind: &str) -
     Ok(())
 }
 
+/// Whether a file begins so, or is empty.
+pub(super) fn begins_with(file: &Path, text: &str) -> bool {
+    let mut beginning = Vec::new();
+    let read = File::open(file).and_then(|file| file.take(text.len() as u64).read_to_end(&mut beginning));
+    read.is_ok() && (beginning.is_empty() || beginning == text.as_bytes())
+}
+
 /// The name of a report in a folder of results.
 pub(super) const REPORT: &str = "report.html";
 
@@ -51,7 +59,7 @@ pub(super) fn is_free_for_page(path: &Path) -> Result<(), Failure> {
 }
 
 /// Writes a file in one step.
-pub(super) fn save(path: &Path, text: &str) -> Result<(), Failure> {
-    atomic_file::write(path, text.as_bytes())
+pub(super) fn save(path: &Path, text: impl AsRef<[u8]>) -> Result<(), Failure> {
+    atomic_file::write(path, text.as_ref())
         .map_err(|e| Failure::because(Exit::Failed, format!("{}: cannot be written: {e}", path.display()), e))
 }

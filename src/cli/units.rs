@@ -8,7 +8,7 @@ pub(super) fn current_a(text: &str) -> Result<f64, String> {
     const UNITS: &[(&str, f64)] = &[("mA", 1e-3), ("A", 1.0)];
     with_unit(text, UNITS).ok_or_else(|| match text.trim().parse::<f64>() {
         Ok(number) if number.is_finite() => format!("`{text}` has no unit: write {number}mA or {number}A"),
-        _ => format!("`{text}` is no current: write for example 100mA or 0.1A"),
+        _ => format!("`{text}` is not a current: write for example 100mA or 0.1A"),
     })
 }
 
@@ -21,7 +21,7 @@ pub(super) fn positive_current_a(text: &str) -> Result<f64, String> {
 /// A frequency in hertz; the unit may be left out.
 pub(super) fn frequency_hz(text: &str) -> Result<f64, String> {
     let value = with_unit(text, &[("mHz", 1e-3), ("kHz", 1e3), ("Hz", 1.0), ("", 1.0)]);
-    value.filter(|hz| *hz > 0.0).ok_or_else(|| format!("`{text}` is no frequency above 0: write for example 0.5Hz"))
+    value.filter(|hz| *hz > 0.0).ok_or_else(|| format!("`{text}` is not a frequency above 0: write for example 0.5Hz"))
 }
 
 const TIMES: &[(&str, f64)] = &[("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.0)];
@@ -29,7 +29,7 @@ const TIMES: &[(&str, f64)] = &[("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.
 /// A time in seconds above 0; without a unit it is seconds.
 pub(super) fn duration_s(text: &str) -> Result<f64, String> {
     let value = with_unit(text, TIMES);
-    value.filter(|s| *s > 0.0).ok_or_else(|| format!("`{text}` is no time above 0: write for example 20ms or 300s"))
+    value.filter(|s| *s > 0.0).ok_or_else(|| format!("`{text}` is not a time above 0: write for example 20ms or 300s"))
 }
 
 /// A time of mostly some milliseconds, in seconds above 0; without a unit it is seconds, below 1.
@@ -39,7 +39,7 @@ pub(super) fn short_s(text: &str) -> Result<f64, String> {
 
 /// The same, also 0 or below.
 pub(super) fn signed_short_s(text: &str) -> Result<f64, String> {
-    let s = with_unit(text, TIMES).ok_or_else(|| format!("`{text}` is no time: write for example 20ms or -0.02"))?;
+    let s = with_unit(text, TIMES).ok_or_else(|| format!("`{text}` is not a time: write for example 20ms or -0.02"))?;
     with_clear_unit(text, s)
 }
 
@@ -47,7 +47,7 @@ pub(super) fn signed_short_s(text: &str) -> Result<f64, String> {
 fn with_clear_unit(text: &str, s: f64) -> Result<f64, String> {
     let text = text.trim();
     match text.parse::<f64>() {
-        Ok(number) if number.abs() >= 1.0 => Err(format!("`{text}`: of which unit? Write {text}ms or {text}s")),
+        Ok(number) if number.abs() >= 1.0 => Err(format!("`{text}`: in which unit? Write {text}ms or {text}s")),
         _ => Ok(s),
     }
 }
@@ -78,7 +78,7 @@ fn time_ns(text: &str) -> Option<i64> {
 /// An exposure in milliseconds above 0; without a unit it is milliseconds.
 pub(super) fn exposure_ms(text: &str) -> Result<f64, String> {
     let value = with_unit(text, &[("µs", 1e-3), ("us", 1e-3), ("ms", 1.0), ("s", 1e3), ("", 1.0)]);
-    value.filter(|ms| *ms > 0.0).ok_or_else(|| format!("`{text}` is no exposure above 0: write for example 8.5ms"))
+    value.filter(|ms| *ms > 0.0).ok_or_else(|| format!("`{text}` is not an exposure above 0: write for example 8.5ms"))
 }
 
 /// A change of current, amperes per second.
@@ -86,7 +86,7 @@ pub(super) fn slew_a_s(text: &str) -> Result<f64, String> {
     let value = with_unit(text, &[("mA/s", 1e-3), ("A/s", 1.0), ("", 1.0)]);
     value
         .filter(|slew| *slew > 0.0)
-        .ok_or_else(|| format!("`{text}` is no change of current above 0: write for example 2A/s"))
+        .ok_or_else(|| format!("`{text}` is not a change of current above 0: write for example 2A/s"))
 }
 
 /// The number, times what its unit stands for; the first unit that the text ends with counts.

@@ -255,7 +255,7 @@ fn summary(validation: &Validation, folder: &Path) -> String {
     match validation::bandwidth_hz(validation) {
         Some(hz) => text += &format!("\n3 dB below the slowest run at {hz:.3} Hz\n"),
         None if validation.path.circle.is_none() => {
-            text += "\nno bandwidth: the path is no circle, so its motion has several frequencies\n"
+            text += "\nno bandwidth: the path is not a circle, so its motion has several frequencies\n"
         }
         None if validation.runs.len() > 1 => {
             text += "\nthe magnitude does not fall 3 dB below that of the slowest run\n"

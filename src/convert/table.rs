@@ -114,7 +114,7 @@ fn attempt(
         let estimate = (topic == Topic::Estimate.name()).then_some("cannot be understood");
         let unusual = odd_samples.filter(|_| topic == Topic::Current.name());
         let unusual = unusual.map(|coils| format!("not of {}, as most are", plural(coils as u64, "coil")));
-        let why = unusual.as_deref().or(known).or(estimate).unwrap_or("is no table of frames");
+        let why = unusual.as_deref().or(known).or(estimate).unwrap_or("is not a table of frames");
         reasons.push(left_out(&topic, messages, why));
     }
     Ok(Attempt::Done(Converted { cut, left_out: reasons, ..converted }))

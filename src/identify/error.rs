@@ -113,7 +113,7 @@ pub enum IdentifyError {
     NoneDetermined,
     /// All models searched are unstable.
     #[error(
-        "all {tried} models searched are unstable: take trends off with --detrend, fewer samples per second with \
+        "all {tried} models searched are unstable: remove trends with --detrend, use fewer samples per second with \
          --decimate, or fix the orders with --order to see one. A system that integrates (its output keeps moving \
          while the input is held) has no stable model: identify from the differences of the output from row to row"
     )]

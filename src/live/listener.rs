@@ -28,7 +28,7 @@ impl Listener {
         use ros2_client::qos::History;
         use ros2_client::{MessageTypeName, Name, QosProfile};
         let invalid = |what: String| io::Error::new(io::ErrorKind::InvalidData, format!("{topic}: {what}"));
-        let name = Name::parse(topic).map_err(|error| invalid(format!("is no name of a topic: {error:?}")))?;
+        let name = Name::parse(topic).map_err(|error| invalid(format!("is not the name of a topic: {error:?}")))?;
         let context = dds::context(domain, everywhere).map_err(io::Error::other)?;
         let mut node = dds::node(&context, "catoptra_currents").map_err(io::Error::other)?;
         // Best effort is what senders of both kinds serve.

@@ -234,7 +234,7 @@ impl Records {
                 let cut = self.length - at < HEAD || what == NO_INDEX;
                 match self.search(at + 1..self.length, is_plausible)? {
                     Some(next) => {
-                        self.damaged(at, format!("{} bytes are no records", next - at));
+                        self.damaged(at, format!("{} bytes are not records", next - at));
                         self.at = next;
                     }
                     None => {

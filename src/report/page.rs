@@ -55,8 +55,7 @@ pub(super) fn doubts(doubts: &[impl Display]) -> String {
     }
     let items: String = doubts.iter().map(|doubt| format!("<li>{}</li>\n", escape(&doubt.to_string()))).collect();
     format!(
-        "<div class=\"doubts\"><p><strong>To be known before the numbers are \
-         used:</strong></p>\n<ul>\n{items}</ul></div>\n"
+        "<div class=\"doubts\"><p><strong>Read this before using the numbers:</strong></p>\n<ul>\n{items}</ul></div>\n"
     )
 }
 
@@ -73,7 +72,7 @@ where
 
 /// What would indicate trouble in the plot or table above; not a verdict on this one.
 pub(super) fn trouble(signs: &str) -> String {
-    format!("<p class=\"signs\"><strong>Signs of trouble would be:</strong> {signs}</p>\n")
+    format!("<p class=\"signs\"><strong>Signs of trouble:</strong> {signs}</p>\n")
 }
 
 /// A picture (a JPEG) with a caption.

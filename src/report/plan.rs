@@ -108,7 +108,7 @@ fn suggestions(plan: &Plan) -> String {
         .map(|s| vec![s.what.clone(), format!("× {:.2}", s.part), format!("{} of {}", s.seen.0, s.seen.1)])
         .collect();
     format!(
-        "<h2>What would help</h2>\n<p>Each alone; regions of views would have to be laid anew.</p>\n{}",
+        "<h2>What would help</h2>\n<p>Each alone; regions of views would have to be redrawn.</p>\n{}",
         table(1, &["change", "σ of the tip by noise", "tips in the picture"], &rows)
     )
 }

@@ -127,7 +127,7 @@ mod tests {
              option asks for it"
         );
         assert_eq!(message("t,u\n0,1\n1\n", "u"), "data.csv, line 3: has 1 cell, the first line has 2");
-        let no_number = "is no number; numbers have a decimal point, what is missing is empty or `nan`";
+        let no_number = "is not a number; numbers have a decimal point, what is missing is empty or `nan`";
         assert_eq!(message("t,u\n0,1\n\n1,a\n", "u"), format!("data.csv, line 4: `a` in column `u` {no_number}"));
         assert_eq!(message("0 1\n1 inf\n", "2"), format!("data.csv, line 2: `inf` in column 2 {no_number}"));
         assert_eq!(message("t;u\n0;1,5\n", "u"), format!("data.csv, line 2: `1,5` in column `u` {no_number}"));
@@ -148,7 +148,7 @@ mod tests {
     #[cfg(unix)]
     fn a_device_without_an_end_is_no_table() {
         let zeros = columns(Path::new("/dev/zero"), &["u"]).unwrap_err().to_string();
-        assert_eq!(zeros, "/dev/zero: is no text; expected a table of numbers (CSV)");
+        assert_eq!(zeros, "/dev/zero: is not text; expected a table of numbers (CSV)");
     }
 
     #[test]
@@ -162,7 +162,7 @@ mod tests {
             columns(&path, &["u"])
                 .unwrap_err()
                 .to_string()
-                .ends_with("data.csv: is no text; expected a table of numbers (CSV)")
+                .ends_with("data.csv: is not text; expected a table of numbers (CSV)")
         );
     }
 }

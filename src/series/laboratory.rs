@@ -115,11 +115,12 @@ fn row(text: &str) -> Result<LabRow, String> {
         .ok_or_else(|| format!("`{tick}` is not a tick from 0 to 3"))?;
     let mut numbers = Vec::with_capacity(NUMBERS);
     for cell in vectors {
-        numbers
-            .push(cell.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| format!("`{cell}` is no number"))?);
+        numbers.push(
+            cell.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| format!("`{cell}` is not a number"))?,
+        );
     }
     let vector = |k: usize| numbers.get(3 * k..3 * k + 3).map_or_else(Vector3::zeros, Vector3::from_column_slice);
-    let tangent = vector(2).try_normalize(0.5).ok_or_else(|| "its direction is no unit vector".to_owned())?;
+    let tangent = vector(2).try_normalize(0.5).ok_or_else(|| "its direction is not a unit vector".to_owned())?;
     Ok(LabRow { stamp_ns, tick, base: vector(0), coil: vector(1), tangent, tip: vector(3) })
 }
 

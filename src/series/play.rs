@@ -31,10 +31,11 @@ pub(super) fn read(path: &Path) -> Result<CurrentTable, SeriesError> {
             return Err(wrong(format!("has {}; expected channel, current_mA, delay_ms", plural(cells.len(), "cell"))));
         };
         let channel = channel.parse().ok().filter(|channel| (1..=MAX_CHANNELS).contains(channel));
-        let channel = channel.ok_or_else(|| wrong(format!("`{}` is no channel from 1 to {MAX_CHANNELS}", cells[0])))?;
+        let channel =
+            channel.ok_or_else(|| wrong(format!("`{}` is not a channel from 1 to {MAX_CHANNELS}", cells[0])))?;
         let current_ma = current.parse::<f64>().ok().filter(|current| current.is_finite());
-        let current_ma = current_ma.ok_or_else(|| wrong(format!("`{current}` is no current in mA")))?;
-        let delay_ms = delay.parse::<u32>().map_err(|_| wrong(format!("`{delay}` is no delay in whole ms")))?;
+        let current_ma = current_ma.ok_or_else(|| wrong(format!("`{current}` is not a current in mA")))?;
+        let delay_ms = delay.parse::<u32>().map_err(|_| wrong(format!("`{delay}` is not a delay in whole ms")))?;
         changes.push((time_ns, channel, current_ma / 1e3));
         time_ns = time_ns.saturating_add(i64::from(delay_ms).saturating_mul(NS_PER_MS));
     }
@@ -115,9 +116,9 @@ mod tests {
         for (text, expected) in [
             ("", "list.play: is empty; expected lines channel, current_mA, delay_ms"),
             ("1, 50, 0\r\n2, 50\r\n", "list.play, line 2: has 2 cells; expected channel, current_mA, delay_ms"),
-            ("0, 50, 0\n", "list.play, line 1: `0` is no channel from 1 to 64"),
-            ("1, inf, 0\n", "list.play, line 1: `inf` is no current in mA"),
-            ("1, 5, 1.5\n", "list.play, line 1: `1.5` is no delay in whole ms"),
+            ("0, 50, 0\n", "list.play, line 1: `0` is not a channel from 1 to 64"),
+            ("1, inf, 0\n", "list.play, line 1: `inf` is not a current in mA"),
+            ("1, 5, 1.5\n", "list.play, line 1: `1.5` is not a delay in whole ms"),
         ] {
             assert_eq!(read_text(text).unwrap_err(), expected);
         }

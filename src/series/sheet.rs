@@ -58,7 +58,7 @@ fn check_first(path: &Path, row: &Row) -> Result<(), SeriesError> {
     let is_word = |cell: &&String| MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word));
     let all_known = row.cells.iter().all(|cell| is_numeric(cell) || is_word(&cell));
     if let Some(word) = row.cells.iter().find(is_word).filter(|_| all_known && row.cells.len() > 1) {
-        let problem = format!("`{word}` is no number; what is missing is empty or `nan`");
+        let problem = format!("`{word}` is not a number; what is missing is empty or `nan`");
         return Err(SeriesError::Line { path: path.to_owned(), line: row.line, problem });
     }
     let counts = |from: usize| row.cells.iter().zip(from..).all(|(cell, number)| *cell == number.to_string());
@@ -163,7 +163,7 @@ impl Sheet {
         let cell = row.cells.get(column).map_or("", String::as_str);
         cell.parse().map_err(|_| {
             let (cell, name) = (cell.escape_debug(), self.name_of(column));
-            self.wrong_at(row, format!("`{cell}` in column {name} is no whole number"))
+            self.wrong_at(row, format!("`{cell}` in column {name} is not a whole number"))
         })
     }
 
@@ -184,7 +184,8 @@ impl Sheet {
             _ => Err(self.wrong_at(
                 row,
                 format!(
-                    "`{}` in column {} is no number; numbers have a decimal point, what is missing is empty or `nan`",
+                    "`{}` in column {} is not a number; numbers have a decimal point, what is missing is empty or \
+                     `nan`",
                     cell.escape_debug(),
                     self.name_of(column)
                 ),
@@ -218,7 +219,7 @@ pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
     let mut bytes = match text_bytes(path) {
         Ok(Ok(bytes)) => bytes,
         Ok(Err(begin)) if is_utf_16(&begin) => return Err(content("is text in UTF-16; save it as UTF-8")),
-        Ok(Err(_)) => return Err(content("is no text; expected a table of numbers (CSV)")),
+        Ok(Err(_)) => return Err(content("is not text; expected a table of numbers (CSV)")),
         Err(source) => return Err(SeriesError::Io { path: path.to_owned(), source }),
     };
     if bytes.len() as u64 > LARGEST {
@@ -227,7 +228,7 @@ pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
     if bytes.starts_with(BYTE_ORDER_MARK) {
         bytes.drain(..BYTE_ORDER_MARK.len());
     }
-    String::from_utf8(bytes).map_err(|_| content("is no text; expected a table of numbers (CSV)"))
+    String::from_utf8(bytes).map_err(|_| content("is not text; expected a table of numbers (CSV)"))
 }
 
 /// The file's bytes, at most one more than [`LARGEST`]; its beginning alone when that is not text.
@@ -254,7 +255,7 @@ fn separated(path: &Path, text: &str, separator: u8) -> Result<Vec<Row>, SeriesE
     for record in reader.records() {
         let record = record.map_err(|error| SeriesError::Content {
             path: path.to_owned(),
-            problem: format!("is no table: {error}"),
+            problem: format!("is not a table: {error}"),
         })?;
         let line = lines.line(record.position());
         if let Some(open) = open_quote(&record) {

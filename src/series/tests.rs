@@ -253,7 +253,10 @@ fn tables_of_others_need_a_time_and_a_measurement() {
         message("t_s,theta_deg\nlate,1\n"),
         "a.csv, line 2: `late` in column `t_s` is not a time in seconds, such as 0.0166667"
     );
-    assert_eq!(message("stamp_ns,theta_deg\n0.5,1\n"), "a.csv, line 2: `0.5` in column `stamp_ns` is no whole number");
+    assert_eq!(
+        message("stamp_ns,theta_deg\n0.5,1\n"),
+        "a.csv, line 2: `0.5` in column `stamp_ns` is not a whole number"
+    );
     assert_eq!(message("stamp_ns,theta_deg,gap\n5,1,-1\n"), "a.csv, line 2: the count in column `gap` is negative");
     assert_eq!(message(""), "a.csv: is empty; expected a table of numbers (CSV)");
 }

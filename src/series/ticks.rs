@@ -64,7 +64,7 @@ impl Recording {
                     path: self.path.clone(),
                     problem: format!(
                         "its tick counts more than {MAX_COMMANDS} commands (from {from} to {to} between two frames, at \
-                         {} s): the column `tick` is no count of commands; remove it to go by the clock",
+                         {} s): the column `tick` is not a count of commands; remove it to go by the clock",
                         seconds(*to_ns)
                     ),
                 });

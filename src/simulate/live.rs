@@ -99,10 +99,6 @@ impl FrameSource for LiveScene {
     fn size_px(&self) -> [u32; 2] {
         self.size_px
     }
-
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
 }
 
 impl Drop for LiveScene {

@@ -6,9 +6,8 @@
 use super::clock::{Origin, Rising};
 use super::colour::FromBgr;
 use super::{SinkError, settle_written};
-use crate::source::quiet_libav;
+use crate::source::{quiet_libav, url_of};
 use ffmpeg_the_third as av;
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 /// Encoders, tried in this order.
@@ -56,9 +55,7 @@ impl VideoWriter {
         std::fs::File::create(path).map_err(|source| SinkError::Io { path: path.into(), source })?;
         let fail = |doing| move |source| SinkError::Video { path: path.into(), doing, source };
         quiet_libav();
-        let mut url = OsString::from("file:"); // or a colon in the name would be taken for a protocol
-        url.push(path);
-        let mut output = av::format::output_as(&url, "mp4").map_err(fail("opening"))?;
+        let mut output = av::format::output_as(&url_of(path), "mp4").map_err(fail("opening"))?;
         let (codec, choice) = find_encoder(path)?;
 
         let mut settings = av::codec::Context::new_with_codec(codec).encoder().video().map_err(fail("encoder"))?;

@@ -184,7 +184,7 @@ impl Rules {
         };
         match all("host").as_slice() {
             [host] if self.is_here(host_of(host)) => {}
-            [host] => return Err(format!("`{}` is no name of this computer", host.escape_debug())),
+            [host] => return Err(format!("`{}` is not a name of this computer", host.escape_debug())),
             _ => return Err("the request names no host, or several".to_owned()),
         }
         match all("origin").as_slice() {

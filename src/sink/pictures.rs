@@ -18,12 +18,11 @@ use super::encode::would_block;
 use super::{Sink, SinkError, settle_written};
 use crate::estimate::Estimate;
 use crate::source::{
-    ChromaSiting, Colour, Matrix, ORIGIN_TAG, Picture, PixelFormat, Plane, Range, Transfer, quiet_libav,
+    ChromaSiting, Colour, Matrix, ORIGIN_TAG, Picture, PixelFormat, Plane, Range, Transfer, quiet_libav, url_of,
 };
 use crate::tally::Tally;
 use ffmpeg_the_third as av;
 use ffmpeg_the_third::format::Pixel;
-use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
 use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
 use std::ops::RangeInclusive;
@@ -87,9 +86,7 @@ impl PictureVideo {
         let path = &self.path;
         let fail = |doing| move |source| SinkError::Video { path: path.clone(), doing, source };
         quiet_libav();
-        let mut url = OsString::from("file:"); // else a colon in the name would be taken for a protocol
-        url.push(path);
-        let mut output = av::format::output_as(&url, "matroska").map_err(fail("opening"))?;
+        let mut output = av::format::output_as(&url_of(path), "matroska").map_err(fail("opening"))?;
         let codec = find(path, self.codec)?;
         let frames = Frames::for_picture(path, picture, self.codec)?;
         let mut settings = av::codec::Context::new_with_codec(codec).encoder().video().map_err(fail("encoder"))?;

@@ -1,5 +1,6 @@
 //! Opens a recording's container and decoder, with readable errors.
 
+use std::ffi::OsString;
 use std::fs::File;
 use std::path::Path;
 
@@ -62,12 +63,16 @@ pub(super) fn measure(path: &Path) -> Result<Extent, SourceError> {
     extent(file).map_err(io)
 }
 
+/// A file's address for libav, which would take a colon in its path for the end of a protocol's name.
+pub(crate) fn url_of(path: &Path) -> OsString {
+    let mut url = OsString::from("file:");
+    url.push(path);
+    url
+}
+
 pub(super) fn open_input(path: &Path) -> Result<av::format::context::Input, SourceError> {
     let not_a_video = |reason: String| SourceError::NotAVideo { path: path.to_path_buf(), reason };
-    // Without an explicit protocol a colon in the path would be taken for one.
-    let mut url = std::ffi::OsString::from("file:");
-    url.push(path);
-    let input = av::format::input(&url).map_err(|error| not_a_video(error.to_string()))?;
+    let input = av::format::input(&url_of(path)).map_err(|error| not_a_video(error.to_string()))?;
     // libav renders plain text as a terminal would.
     match input.format().name() {
         "tty" => Err(not_a_video("it is a text file".to_owned())),

@@ -73,7 +73,7 @@ impl CurrentColumns {
         }
         let is_no_coil = |name: &&str| NO_COILS.contains(&name.to_ascii_lowercase().as_str());
         if let Some(other) = coils.iter().map(|i| names[*i].as_ref()).find(is_no_coil) {
-            return Err(format!("column `{other}` is no coil: all columns but the time are currents; leave it out"));
+            return Err(format!("column `{other}` is not a coil: all columns but the time are currents; leave it out"));
         }
         for name in coils.iter().map(|i| names[*i].as_ref()) {
             if let Some(unit) = other_unit(name) {
@@ -125,8 +125,8 @@ mod tests {
             ("t_s,i1,Coil_mA", "column `Coil_mA` is in milliamperes"),
             ("t_s,I1 [mA]", "column `I1 [mA]` is in milliamperes"),
             ("t_s,milliamps", "column `milliamps` is in milliamperes"),
-            ("t_s,i1,seq", "column `seq` is no coil"),
-            ("t_s,time,i1", "column `time` is no coil"),
+            ("t_s,i1,seq", "column `seq` is not a coil"),
+            ("t_s,time,i1", "column `time` is not a coil"),
             ("t_s,i1 (mA)", "column `i1 (mA)` is in milliamperes"),
             ("t_s,coil_mA_1", "column `coil_mA_1` is in milliamperes"),
             ("t_s,coil [mA] 2", "column `coil [mA] 2` is in milliamperes"),

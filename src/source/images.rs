@@ -371,7 +371,7 @@ fn positions(folder: &Path, names: &[String]) -> Result<Vec<u64>, SourceError> {
 /// The table's rows, checked against the pictures in the folder.
 fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, SourceError> {
     let wrong = |line: u64, reason: String| SourceError::Times { path: table.to_path_buf(), line, reason };
-    let csv_error = |error: csv::Error| wrong(1, format!("is no row of a table: {error}"));
+    let csv_error = |error: csv::Error| wrong(1, format!("is not a row of a table: {error}"));
     let text = std::fs::read(table).map_err(|e| csv_error(e.into()))?;
     let mut lines = Lines::of(&text, None);
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_slice());
@@ -389,7 +389,7 @@ fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, Sour
     let mut rows: Vec<(String, i64)> = Vec::with_capacity(names.len());
     for record in reader.records() {
         let record =
-            record.map_err(|error| wrong(lines.line(error.position()), format!("is no row of a table: {error}")))?;
+            record.map_err(|error| wrong(lines.line(error.position()), format!("is not a row of a table: {error}")))?;
         let line = lines.line(record.position());
         let (file, time) = (record.get(file_column).unwrap_or(""), record.get(time_column).unwrap_or(""));
         if !missing.remove(file) {
@@ -402,7 +402,7 @@ fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, Sour
         }
         let ns = if in_ns { time.parse().ok() } else { parse_seconds_ns(time) }.ok_or_else(|| {
             let what = if in_ns { "whole number of nanoseconds" } else { "number of seconds" };
-            wrong(line, format!("\"{time}\" is no {what} (picture {file})"))
+            wrong(line, format!("\"{time}\" is not a {what} (picture {file})"))
         })?;
         if let Some((before, before_ns)) = rows.last()
             && *before_ns >= ns

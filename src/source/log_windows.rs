@@ -269,10 +269,6 @@ impl FrameSource for LogWindows {
         self.layout.size_px
     }
 
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
-
     fn faults(&self) -> StreamFaults {
         self.faults
     }

@@ -39,7 +39,7 @@ mod window;
 
 use std::path::Path;
 
-pub(crate) use container::quiet_libav;
+pub(crate) use container::{quiet_libav, url_of};
 pub use error::SourceError;
 pub(crate) use file::ORIGIN_TAG;
 pub use file::{VideoFile, VideoOptions};
@@ -149,7 +149,9 @@ pub trait FrameSource {
     fn size_px(&self) -> [u32; 2];
 
     /// How many frames there will be, if the source knows (for a progress bar).
-    fn frame_count_hint(&self) -> Option<u64>;
+    fn frame_count_hint(&self) -> Option<u64> {
+        None
+    }
 
     /// What has been wrong with the stream so far.
     fn faults(&self) -> StreamFaults {

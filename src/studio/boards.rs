@@ -113,7 +113,7 @@ pub(super) fn keep(desk: &Desk, asked: &Dropped) -> Result<Reply, Refusal> {
     let bytes =
         BASE64_STANDARD.decode(&asked.base64).map_err(|error| Refusal::wrong(format!("{}: {error}", asked.name)))?;
     if image::guess_format(&bytes).is_err() {
-        return Err(Refusal::wrong(format!("{}: is no picture", asked.name)));
+        return Err(Refusal::wrong(format!("{}: is not a picture", asked.name)));
     }
     let folder = folder(desk, &asked.folder)?;
     let path = desk.places.to_write(&folder.join(name).to_string_lossy())?;

@@ -125,7 +125,7 @@ impl Run {
             run.table(&table)?;
         } else {
             let folder = folder.display();
-            return Err(Refusal::wrong(format!("{folder}: is no run: it has no {LOG_FILE} and no {TABLE_FILE}")));
+            return Err(Refusal::wrong(format!("{folder}: is not a run: it has no {LOG_FILE} and no {TABLE_FILE}")));
         }
         Ok(run)
     }

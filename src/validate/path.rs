@@ -69,7 +69,7 @@ impl DesiredPath {
             return Err(wrong(format!("has {} per period; a path needs 3 or more", plural(length, "point"))));
         }
         if rows < length || !rows.is_multiple_of(length) {
-            return Err(wrong(format!("has {rows} rows, which is no multiple of {length} points per period")));
+            return Err(wrong(format!("has {rows} rows, which is not a multiple of {length} points per period")));
         }
         let in_file = rows / length;
         if let Some(k) = (length..rows).find(|k| match (points.get(*k), points.get(k % length)) {

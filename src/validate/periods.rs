@@ -60,7 +60,7 @@ pub(crate) struct Change {
     between: (usize, usize),
     /// By how much: degrees or metres.
     pub by: f64,
-    /// Its σ by the tracker's own noise, where that is known.
+    /// Its σ, by the tracker's noise or by slow errors, where that is known.
     sd: Option<f64>,
 }
 

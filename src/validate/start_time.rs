@@ -129,7 +129,7 @@ pub(super) fn from_currents(currents: &[Current], path: &DesiredPath, pause_ns: 
         let is_before = start_ns.saturating_sub(change_ns) > pause_ns / 2;
         is_before.then(|| {
             format!(
-                "the currents repeat with the path from {:.3} s on: what they do before, from {:.3} s on, is no part \
+                "the currents repeat with the path from {:.3} s on: what they do before, from {:.3} s on, is not part \
                  of it",
                 seconds(start_ns),
                 seconds(change_ns)

@@ -18,7 +18,7 @@ pub(crate) struct Row {
     pub pause_ms: f64,
     /// 1 over the period.
     pub frequency_hz: f64,
-    /// Camera time of the first command, and how it is known.
+    /// Camera time of the first command.
     pub start_s: f64,
     /// `given`, `ticks`, `currents` or `search`.
     pub start_from: &'static str,
@@ -62,7 +62,7 @@ pub(crate) struct Row {
     pub gain_z: Option<f64>,
     /// Eq. 8, or the ratio of sizes.
     pub magnitude_db: Option<f64>,
-    /// Its σ by the tracker's own noise.
+    /// Its σ: the larger of what the tracker's noise gives and of what does not repeat.
     pub magnitude_sd_db: Option<f64>,
     /// `circle_radius` or `rms_size`.
     pub magnitude_of: Option<&'static str>,
@@ -78,7 +78,7 @@ pub(crate) struct Row {
     pub lag_ms: Option<f64>,
     /// Eq. 10, negative when late, unwrapped.
     pub phase_deg: Option<f64>,
-    /// Its σ by the tracker's own noise.
+    /// Its σ: the larger of what the tracker's noise gives and of what does not repeat.
     pub phase_sd_deg: Option<f64>,
     /// Correlation at that lag, or at the start that was searched for.
     pub correlation: Option<f64>,
@@ -88,7 +88,7 @@ pub(crate) struct Row {
     pub last_period_db: Option<f64>,
     /// Change of the phase over a period, by a line through all periods.
     pub phase_drift_deg: Option<f64>,
-    /// Its σ by the tracker's own noise.
+    /// Its σ, by the tracker's noise or by slow errors.
     pub phase_drift_sd_deg: Option<f64>,
     /// Largest change of the phase from one period to the next.
     pub phase_step_deg: Option<f64>,

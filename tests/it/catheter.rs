@@ -247,7 +247,7 @@ fn what_cannot_be_is_refused_with_what_would_be_right() {
         (&["shape", "--currents", "0mA,0mA,1mA", "--catheter", "c.toml"], 2, "missing field"),
         (&["run", "unix.csv", "-o", "run.csv"], 2, "unix.csv: its last current is at 1700000001 s, which makes"),
         (&["follow", "none.csv", "-o", "out"], 2, "is neither circle nor lemniscate, and no such file"),
-        (&["follow", "circle", "--radius", "0mm", "-o", "out"], 2, "is no length above 0"),
+        (&["follow", "circle", "--radius", "0mm", "-o", "out"], 2, "is not a length above 0"),
         (&["follow", "circle", "--pause", "0.5ms", "-o", "out"], 2, "--pause: at least 1ms"),
         (&["follow", "circle", "--coils", "x,y,host_ns", "-o", "out"], 2, "host_ns is read as a time"),
     ] {

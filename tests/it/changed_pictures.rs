@@ -262,10 +262,6 @@ impl FrameSource for Shown {
     fn size_px(&self) -> [u32; 2] {
         rig().camera.size_px
     }
-
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
 }
 
 /// The sample's rig, taught on these frames; σ of the views' blurs.

@@ -16,7 +16,7 @@ fn rows(path: &Path) -> Vec<BTreeMap<String, Field>> {
 fn text(field: &Field) -> &str {
     match field {
         Field::Str(text) => text,
-        other => panic!("{other:?} is no text"),
+        other => panic!("{other:?} is not text"),
     }
 }
 

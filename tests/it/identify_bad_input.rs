@@ -93,7 +93,7 @@ fn data_that_cannot_be_used() {
     table(folder, "text.csv", 50, |k, t, u, y| {
         [t.to_string(), if k == 7 { "abc".to_owned() } else { u.to_string() }, y.to_string()]
     });
-    refused(folder, &[&["text.csv"], &COLUMNS], 2, &["text.csv, line 9: `abc` in column `u` is no number"]);
+    refused(folder, &[&["text.csv"], &COLUMNS], 2, &["text.csv, line 9: `abc` in column `u` is not a number"]);
     good(folder);
     table(folder, "slow.csv", 100, |_, t, u, y| texts(2.0 * t, u, y));
     refused(
@@ -121,7 +121,7 @@ fn options_that_cannot_be_followed() {
         2,
         &["--test 300:400: without --train all of the record is fitted", "add --train A:B"],
     );
-    with(&["--train", "5:5"], 2, &["`5:5` is no range of samples: write 0:500"]);
+    with(&["--train", "5:5"], 2, &["`5:5` is not a range of samples: write 0:500"]);
     with(&["--train", "0:4", "--order", "2", "--nk", "1"], 2, &["good.csv [0:4]: 4 coefficients", "4 samples"]);
     let judged = ["good.csv [398:400]: no stretch", "more than 2 samples", "judge by more"];
     with(&["--train", "0:300", "--test", "398:400", "--order", "1:3", "--nk", "1"], 2, &judged);
@@ -131,7 +131,7 @@ fn options_that_cannot_be_followed() {
     with(&["--order", "0"], 2, &["--order 0"]);
     with(&["--na", "2"], 2, &["--na and --nb go together"]);
     with(&["--select", "simulation"], 2, &["no data to judge by; give --validate or --test"]);
-    with(&["--reduce", "0"], 2, &["`0` is no order"]);
+    with(&["--reduce", "0"], 2, &["`0` is not an order"]);
     // Of logs only: not taken silently.
     for more in [["--currents", "a.csv"], ["--delay", "20ms"], ["--coil", "1"], ["--plant", "plant.toml"]] {
         with(&more, 2, &["cannot be used with"]);

@@ -31,10 +31,6 @@ impl FrameSource for OddlyTimed {
     fn size_px(&self) -> [u32; 2] {
         self.0.size_px()
     }
-
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
 }
 
 fn recording() -> OddlyTimed {

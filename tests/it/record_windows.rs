@@ -168,10 +168,6 @@ impl FrameSource for WithCurrents {
         self.frames.size_px()
     }
 
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
-
     fn currents(&mut self) -> Vec<CurrentSample> {
         self.given += 1;
         let sample = |seq: u64| {

@@ -228,7 +228,7 @@ fn the_first_the_best_and_the_worst_frame_are_shown_with_their_outlines() {
 fn what_to_look_for_is_no_verdict() {
     let rig = synthetic::rig();
     let page = page(&rig, info(), (0..5).map(|k| synthetic::swing(&rig, k, stamp(k))));
-    assert!(!page.contains("Bad:") && page.contains("Signs of trouble would be:"));
+    assert!(!page.contains("Bad:") && page.contains("Signs of trouble:"));
 }
 
 #[test]

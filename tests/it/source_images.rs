@@ -143,9 +143,9 @@ fn what_is_wrong_is_named_with_file_and_line() {
             "times.csv:4: picture 3.png at 100000000 ns is not later than 2.png",
         ),
         ("file,t_s\n1.png,0\n1.png,0.2\n", "times.csv:3: picture 1.png has a row above already"),
-        ("file,t_s\n1.png,0\n2.png,soon\n", "times.csv:3: \"soon\" is no number of seconds (picture 2.png)"),
-        ("file,stamp_ns\n1.png,0.5\n", "times.csv:2: \"0.5\" is no whole number of nanoseconds (picture 1.png)"),
-        ("file,t_s\n1.png,0,7\n", "times.csv:2: is no row of a table"),
+        ("file,t_s\n1.png,0\n2.png,soon\n", "times.csv:3: \"soon\" is not a number of seconds (picture 2.png)"),
+        ("file,stamp_ns\n1.png,0.5\n", "times.csv:2: \"0.5\" is not a whole number of nanoseconds (picture 1.png)"),
+        ("file,t_s\n1.png,0,7\n", "times.csv:2: is not a row of a table"),
     ];
     for (table, expected) in tables {
         std::fs::write(at("times.csv"), table).unwrap();

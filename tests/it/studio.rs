@@ -383,7 +383,7 @@ fn pictures_of_a_board_are_dropped_in_and_the_rig_gets_better_as_they_come() {
     refused("00.png", &picture, "another picture");
     refused("../00.png", &picture, "expected the name of a picture");
     refused("rig.toml", &picture, "expected the name of a picture");
-    refused("new.png", b"<script>", "is no picture");
+    refused("new.png", b"<script>", "is not a picture");
     // The command that is shown gives the same rig.
     let saved = studio.json("board/save", &json!({ "form": board_form(&kept), "out": "clicked.toml", "dry": false }));
     assert_eq!(saved["told"]["code"], 0, "{saved}");

@@ -221,7 +221,7 @@ fn wrong_usage_and_wrong_files_are_refused_before_anything_is_written() {
         3,
         "missed.csv: none of its 2 frames has a place of tip",
     );
-    refused(&[&[slow.as_str()], with.as_slice(), &["0ms"]].concat(), 2, "`0ms` is no time above 0");
+    refused(&[&[slow.as_str()], with.as_slice(), &["0ms"]].concat(), 2, "`0ms` is not a time above 0");
     refused(&[&[slow.as_str()], with.as_slice(), &["20ms,5ms"]].concat(), 2, "1 run and 2 pause times");
     let starts = [slow.as_str(), &slow, &slow, "--desired", &path, "--pause", "20ms,20ms,20ms", "--start", "1,2"];
     refused(&starts, 2, "3 runs and 2 starts");

@@ -79,10 +79,6 @@ impl<F: FnMut(u64) -> Option<Frame>> FrameSource for Given<F> {
     fn size_px(&self) -> [u32; 2] {
         rig().camera.size_px
     }
-
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
 }
 
 fn black(seq: u64, [width, height]: [u32; 2]) -> Frame {

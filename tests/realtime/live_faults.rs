@@ -33,10 +33,6 @@ impl<F: Fn(u64, i64) -> (u32, i64)> FrameSource for Camera<F> {
     fn size_px(&self) -> [u32; 2] {
         rig().camera.size_px
     }
-
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
 }
 
 struct Run {

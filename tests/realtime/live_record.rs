@@ -60,10 +60,6 @@ impl FrameSource for Camera {
     fn size_px(&self) -> [u32; 2] {
         rig().camera.size_px
     }
-
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
 }
 
 fn camera(to_ns: i64, due: impl Fn(u64) -> bool + Send + 'static) -> Camera {

@@ -114,7 +114,7 @@ impl<'a> Frames<'a> {
         self.vetoes.push(vetoes.of(stamp_ns).map(str::to_owned));
         for ((name, cells), place) in self.columns.iter_mut().zip(places) {
             let cell = place.and_then(|place| row.get(place)).filter(|cell| !cell.is_empty());
-            let wrong = || format!("{name} is {}, which is no number", cell.unwrap_or_default());
+            let wrong = || format!("{name} is {}, which is not a number", cell.unwrap_or_default());
             match cells {
                 Cells::Text(cells) => cells.push(cell.map(str::to_owned)),
                 Cells::Whole(cells) => cells.push(cell.map(str::parse).transpose().map_err(|_| wrong())?),

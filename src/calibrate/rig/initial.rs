@@ -92,7 +92,7 @@ pub(crate) enum Unusable {
         found: usize,
     },
     /// No pose fits.
-    #[error("no position of the target fits the points of a view: are they assigned rightly?")]
+    #[error("no position of the target fits the points of a view: are they assigned to the right corners and views?")]
     NoPose,
     /// Images with the wrong handedness.
     #[error(
@@ -116,7 +116,7 @@ pub(crate) enum Unusable {
     },
     /// Two images that are not reflections of each other.
     #[error(
-        "its images of the board are no reflections of one another (lines between their corners are {:.0}° from \
+        "its images of the board are not reflections of one another (lines between their corners are {:.0}° from \
          parallel): are they of one board, and is the mirror flat?", .spread.atan().to_degrees()
     )]
     NoReflection {

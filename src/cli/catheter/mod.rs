@@ -8,7 +8,7 @@ mod run;
 pub(super) use run::Columns;
 
 use super::excite::check_coils;
-use super::output::{PAGE, is_free_for_page, save};
+use super::output::{PAGE, begins_with, is_free_for_page, save};
 use super::results::refuse_to_overwrite_inputs;
 use super::units::{current_a, short_s};
 use super::{Exit, Failure, interrupt, output};
@@ -22,8 +22,8 @@ use clap::Subcommand;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
-use std::fs::{self, File};
-use std::io::{ErrorKind, Read as _};
+use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Up to this size circles were found to have the linearised response (docs/catheter.md).
@@ -149,11 +149,11 @@ fn signed_length_m(text: &str) -> Result<f64, String> {
     if size.trim_end_matches(|c: char| c.is_alphabetic()).trim().parse() == Ok(0.0) {
         return Ok(0.0);
     }
-    length_m(size).map(|m| sign * m).ok_or_else(|| format!("`{text}` is no length: write for example 12mm"))
+    length_m(size).map(|m| sign * m).ok_or_else(|| format!("`{text}` is not a length: write for example 12mm"))
 }
 
 fn radius_m(text: &str) -> Result<f64, String> {
-    length_m(text).ok_or_else(|| format!("`{text}` is no length above 0: write for example 8mm"))
+    length_m(text).ok_or_else(|| format!("`{text}` is not a length above 0: write for example 8mm"))
 }
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
@@ -502,11 +502,4 @@ fn prepare(folder: &Path, own: &[(impl AsRef<str>, Own)], inputs: &[&Path]) -> R
         }
     }
     fs::create_dir_all(folder).map_err(failed)
-}
-
-/// Whether a file begins so, or is empty.
-fn begins_with(file: &Path, text: &str) -> bool {
-    let mut beginning = Vec::new();
-    let read = File::open(file).and_then(|file| file.take(text.len() as u64).read_to_end(&mut beginning));
-    read.is_ok() && (beginning.is_empty() || beginning == text.as_bytes())
 }

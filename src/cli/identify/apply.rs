@@ -66,7 +66,7 @@ fn describe(text: &mut String, done: &Applied, saved: &Saved, provenance: &Prove
                 f.record == record.name && f.role == model.role && f.kind == kind
             };
             let Some(fit) = done.fits.iter().find(of) else { continue };
-            let shown = |value: f64| if value.is_finite() { format!("{value:.4}") } else { "runs away".to_owned() };
+            let shown = |value: f64| if value.is_finite() { format!("{value:.4}") } else { "diverges".to_owned() };
             let rms = if fit.error.rms.is_finite() { format!("{:.4e}", fit.error.rms) } else { String::new() };
             writeln!(
                 text,

@@ -204,7 +204,7 @@ impl std::str::FromStr for Range {
         let parts = text.split_once(':').and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
         match parts {
             Some((from, to)) if from < to => Ok(Self { from, to }),
-            _ => Err(format!("`{text}` is no range of samples: write 0:500 for the first 500")),
+            _ => Err(format!("`{text}` is not a range of samples: write 0:500 for the first 500")),
         }
     }
 }
@@ -245,7 +245,7 @@ impl std::str::FromStr for TargetArg {
             "auto" => Ok(Self(Target::Auto)),
             _ => match text.parse() {
                 Ok(order) if order > 0 => Ok(Self(Target::Order(order))),
-                _ => Err(format!("`{text}` is no order: write a number from 1, or auto")),
+                _ => Err(format!("`{text}` is not an order: write a number from 1, or auto")),
             },
         }
     }
@@ -314,7 +314,7 @@ fn count(least: u64, most: u64) -> RangedU64ValueParser<usize> {
 
 fn positive(text: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
-    value.ok_or_else(|| format!("`{text}` is no number of seconds above 0, such as 0.01"))
+    value.ok_or_else(|| format!("`{text}` is not a number of seconds above 0, such as 0.01"))
 }
 
 impl Args {

@@ -45,7 +45,9 @@ pub(super) fn run(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
         let _whole = interrupt::wait();
         let _held = args.results().take()?;
         let json = found.json(&coils).map_err(|e| Failure::new(Exit::Failed, e))?;
-        let texts = [json, found.response_csv(&coils), found.signals_csv(&all)];
+        let tables = [found.response_csv(&coils), found.signals_csv(&all)];
+        let [response, signals] = tables.map(|table| table.map_err(|e| Failure::new(Exit::Failed, e)));
+        let texts = [json.into_bytes(), response?, signals?];
         let mut written = Vec::new();
         for (name, text) in FILES.iter().zip(&texts) {
             written.push(args.out.join(name));

@@ -6,7 +6,7 @@
 //! the run is refused before any work.
 
 use super::super::lock::{Lock, WRITES_RESULTS};
-use super::super::output::REPORT;
+use super::super::output::{REPORT, begins_with};
 use super::super::results::{self, Owner, RUN, whole_path};
 use super::super::{Exit, Failure};
 use super::options::Record;
@@ -18,12 +18,14 @@ use crate::vetoes;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;
-use std::io::{self, ErrorKind, Read as _};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 const OVERLAY: &str = "overlay.mp4";
 /// In place of the name of a table: stdout.
 const STDOUT: &str = "-";
+/// How our tables begin.
+const TABLE_BEGINS: &str = "seq,t_s,";
 /// All files that a run may write into its folder. The summary comes first, so that it is removed before the others.
 const ALL: [&str; 7] = [SUMMARY, RUN, LOG_FILE, TABLE_FILE, REPORT, OVERLAY, PICTURES_FILE];
 
@@ -75,14 +77,6 @@ impl Run {
     pub(in crate::cli) fn to_toml(&self) -> Result<String, Failure> {
         toml::to_string(self).map_err(|e| Failure::new(Exit::Failed, format!("cannot write the run's options: {e}")))
     }
-}
-
-/// Whether a file is empty or begins like our tables.
-fn is_table(path: &Path) -> bool {
-    let begin = b"seq,t_s,";
-    let mut found = Vec::new();
-    let read = fs::File::open(path).and_then(|file| file.take(begin.len() as u64).read_to_end(&mut found));
-    read.is_ok() && (found.is_empty() || found == begin)
 }
 
 /// Whether `table` is, or would be, that of a run in a folder other than `own`.
@@ -212,10 +206,7 @@ impl Files {
         for entry in fs::read_dir(&self.folder)? {
             let entry = entry?;
             let name = entry.file_name();
-            let number = [RUN, SUMMARY]
-                .iter()
-                .find_map(|file| name.to_str()?.strip_prefix(file)?.strip_prefix('.')?.strip_suffix(".new"));
-            if number.is_some_and(|number| !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())) {
+            if [RUN, SUMMARY].iter().any(|file| atomic_file::is_partial(&name, file)) {
                 found.push(entry.path());
             }
         }
@@ -302,7 +293,7 @@ impl Files {
         }
         // Something other than a regular file, such as /dev/stdout, cannot be lost.
         if self.table != self.folder.join(TABLE_FILE) && self.table.is_file() {
-            if !is_table(&self.table) {
+            if !begins_with(&self.table, TABLE_BEGINS) {
                 return refused(format!(
                     "{table}: exists and is not a table of this command; choose another with --csv"
                 ));

@@ -411,7 +411,7 @@ impl fmt::Display for Diagnostic {
             Self::Unstable { title, largest_pole } => write!(
                 f,
                 "{title}: unstable, its largest pole is {largest_pole:.5}; simulations with it run away. Choose other \
-                 orders, take trends off (--detrend), or fewer samples per second (--decimate)"
+                 orders, remove trends (--detrend), or use fewer samples per second (--decimate)"
             ),
             Self::NearlyUnstable { title, largest_pole } => {
                 write!(
@@ -459,7 +459,7 @@ impl fmt::Display for Diagnostic {
                  coefficients of Eq. 6; --decimate {factor} keeps all that moves"
             ),
             Self::OffCentre { what, ratio } => {
-                write!(f, "the mean of the {what} is {ratio:.1} times its spread: --detrend mean takes it off")
+                write!(f, "the mean of the {what} is {ratio:.1} times its spread: --detrend mean removes it")
             }
             Self::Outlying { record, outliers } => write!(f, "{record}: {outliers}"),
             Self::Gains { records: [(less, least), (more, most)], certain } => write!(
@@ -475,7 +475,7 @@ impl fmt::Display for Diagnostic {
             Self::GainDrift { record, drift } => write!(f, "{record}: {drift}"),
             Self::Nonlinear { record, found } => write!(f, "{record}: {found}"),
             Self::OfWrongValues { title } => {
-                write!(f, "{title}: it has no σ, since what is told of the records bends its coefficients")
+                write!(f, "{title}: it has no σ, since the problems reported for the records bias its coefficients")
             }
             Self::AtLimit { record, count, value } => write!(
                 f,
@@ -524,7 +524,7 @@ impl fmt::Display for Diagnostic {
             Self::Straight { title, times } => write!(
                 f,
                 "{title}: what its simulation leaves has a mean or trend, {times:.1} times as much as noise explains: \
-                 it has no σ, since its coefficients are bent by that. --detrend mean or --detrend linear takes it off"
+                 it has no σ, since that biases its coefficients. --detrend mean or --detrend linear removes it"
             ),
             Self::LowerOrder { title, order } => write!(
                 f,

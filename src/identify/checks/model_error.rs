@@ -33,9 +33,9 @@ impl fmt::Display for ModelError {
         write!(
             f,
             "its simulation leaves {refined_percent:.2} % of the energy, that of the full model {full_percent:.2} %: \
-             most of what it leaves is no noise, but what its order cannot do. It has no σ, since its coefficients are \
-             off by that, and by more than noise explains; the same is true of the reduced model. For the gain, raise \
-             --reduce"
+             most of what it leaves is not noise, but what its order cannot do. It has no σ, since its coefficients \
+             are off by that, and by more than noise explains; the same is true of the reduced model. For the gain, \
+             raise --reduce"
         )
     }
 }

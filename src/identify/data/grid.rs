@@ -22,8 +22,6 @@ const OFF_GRID: f64 = 0.5;
 /// it must be one: intervals of a program that waits scatter, and their sum wanders off any grid.
 const OTHER_RATE: f64 = 0.02;
 const OTHER_RATE_SD: f64 = 5.0;
-/// Most places of a grid, besides ten per sample: a camera that pauses for a day at 20 Hz has fewer.
-const MAX_PLACES: usize = 2_000_000;
 /// Periods by which a new one may be longer than the usual interval, or a multiple of it, and count as that.
 const HARDLY_LONGER: f64 = 0.1;
 /// Longest interval that resampling bridges, in periods.
@@ -258,7 +256,7 @@ pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridErro
     let period_s = sum_s / count;
     // Each place of the grid takes memory, with or without a sample.
     let places = (time_s[time_s.len() - 1] - time_s[0]) / period_s;
-    if places > (MAX_PLACES + 10 * time_s.len()) as f64 {
+    if places > most_places(time_s.len()) {
         let longest = |k: &usize| time_s[k + 1] - time_s[*k];
         let k = (0..time_s.len() - 1).max_by(|a, b| longest(a).total_cmp(&longest(b))).unwrap_or(0);
         let (before_s, after_s) = (time_s[k], time_s[k + 1]);
@@ -369,11 +367,16 @@ fn lagrange(points: &[(f64, f64)], x: f64) -> f64 {
     points.iter().enumerate().map(term).sum()
 }
 
+/// Most places of a grid for so many samples: a camera that pauses for a day at 20 Hz has fewer.
+fn most_places(samples: usize) -> f64 {
+    (2_000_000 + 10 * samples) as f64
+}
+
 /// How many samples, no further apart than the record's usually are, fit into a longer period; 1 for one that is hardly
 /// longer.
 ///
 /// # Errors
-/// As [`resample`].
+/// As `usual_interval`.
 pub(crate) fn coarser(series: &Series, period_s: f64) -> Result<usize, GridError> {
     let usual = usual_interval(&series.name, &series.time_s)?;
     let most = series.time_s.len() as f64;
@@ -384,13 +387,13 @@ pub(crate) fn coarser(series: &Series, period_s: f64) -> Result<usize, GridError
 /// at most 2.5 periods apart, inputs by averaging the held values over the new intervals.
 ///
 /// # Errors
-/// [`GridError::TooFew`] and [`GridError::NotRising`].
+/// All but [`GridError::Uneven`] and [`GridError::RateChanges`].
 pub(crate) fn resample(series: &Series, period_s: Option<f64>) -> Result<Series, GridError> {
     let usual = usual_interval(&series.name, &series.time_s)?;
     let period = period_s.unwrap_or(usual);
     let (first, last) = (series.time_s[0], series.time_s[series.time_s.len() - 1]);
-    if (last - first) / period > (MAX_PLACES + 10 * series.time_s.len()) as f64 {
-        let samples = (last - first) / period;
+    let samples = (last - first) / period;
+    if samples > most_places(series.time_s.len()) {
         return Err(GridError::TooFine { name: series.name.clone(), period_s: period, samples });
     }
     let count = ((last - first) / period + 1e-9).floor() as usize + 1;

@@ -345,8 +345,8 @@ pub(crate) fn identify(
 
 /// Fits every order. Returns what each came to, and the best.
 ///
-/// Without them only orders count whose simulation of the records fitted is nearly the best: what the currents do not
-/// excite an order may make up, and run far off where they begin.
+/// Without records to judge by, only orders count whose simulation of the records fitted is nearly the best: what the
+/// currents do not excite an order may make up, and run far off where they begin.
 fn search(
     (fitted, judging): (&[Motion], &[Motion]),
     orders: RangeInclusive<usize>,

@@ -1,10 +1,11 @@
 //! A model of both planes as files: `model.json`, `response.csv`, `signals.csv`.
 
 use super::{Motion, OUTPUTS, Planes, System};
+use crate::identify::results::tables::{table, texts};
 use nalgebra::DMatrix;
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
+use std::io;
 
 /// Frequencies of the response, from the lowest to half of the rate.
 const FREQUENCIES: usize = 200;
@@ -59,49 +60,49 @@ impl Planes {
     }
 
     /// `response.csv`: magnitude (degrees by ampere) and phase (degrees) from each coil to each angle, of both models.
-    pub(crate) fn response_csv(&self, coils: &[String]) -> String {
-        let mut text =
-            "frequency_hz,coil,angle,full_deg_a,full_phase_deg,reduced_deg_a,reduced_phase_deg\r\n".to_owned();
+    ///
+    /// # Errors
+    /// None in practice: it is written to memory.
+    pub(crate) fn response_csv(&self, coils: &[String]) -> io::Result<Vec<u8>> {
+        let header = "frequency_hz,coil,angle,full_deg_a,full_phase_deg,reduced_deg_a,reduced_phase_deg";
+        let mut rows = Vec::new();
         for frequency_hz in self.frequencies_hz() {
             let of = |system: &System| system.response(TAU * frequency_hz * self.period_s);
             let (Some(full), Some(reduced)) = (of(&self.full), of(&self.reduced)) else { continue };
             for (k, coil) in coils.iter().enumerate() {
                 for (j, angle) in OUTPUTS.iter().enumerate() {
-                    let [a, b] = [&full, &reduced].map(|h| h[(j, k)]);
-                    // Writing into text cannot fail.
-                    let _ = write!(
-                        text,
-                        "{frequency_hz:.6},{coil},{angle},{:.6},{:.3},{:.6},{:.3}\r\n",
-                        a.norm().to_degrees(),
-                        a.arg().to_degrees(),
-                        b.norm().to_degrees(),
-                        b.arg().to_degrees()
-                    );
+                    let both = [&full, &reduced].map(|h| h[(j, k)]);
+                    let degrees = |angle: f64, digits: usize| format!("{:.digits$}", angle.to_degrees());
+                    let polar = both.map(|h| [degrees(h.norm(), 6), degrees(h.arg(), 3)]);
+                    let place = [format!("{frequency_hz:.6}"), coil.clone(), (*angle).to_owned()];
+                    rows.push(place.into_iter().chain(polar.into_iter().flatten()).collect());
                 }
             }
         }
-        text
+        table(&texts(&header.split(',').collect::<Vec<_>>()), rows.into_iter())
     }
 
     /// `signals.csv`: measured and simulated angles of all records.
-    pub(crate) fn signals_csv(&self, records: &[&Motion]) -> String {
-        let mut text = "record,t_s".to_owned();
-        for angle in OUTPUTS {
-            let _ = write!(text, ",{angle}_deg,{angle}_full_deg,{angle}_reduced_deg");
-        }
-        text += "\r\n";
+    ///
+    /// # Errors
+    /// As [`Self::response_csv`].
+    pub(crate) fn signals_csv(&self, records: &[&Motion]) -> io::Result<Vec<u8>> {
+        let of_angle = |angle: &str| ["", "_full", "_reduced"].map(|of| format!("{angle}{of}_deg"));
+        let header: Vec<String> =
+            texts(&["record", "t_s"]).into_iter().chain(OUTPUTS.iter().flat_map(|angle| of_angle(angle))).collect();
+        let mut rows = Vec::new();
         for (record, judged) in records.iter().zip(&self.judged) {
             for k in 0..record.output.nrows() {
-                let _ = write!(text, "\"{}\",{:.6}", record.name, record.start_s + k as f64 * record.period_s);
+                let time_s = record.start_s + k as f64 * record.period_s;
+                let mut row = vec![record.name.clone(), format!("{time_s:.6}")];
                 for j in 0..OUTPUTS.len() {
-                    let measured = Some(record.output[(k, j)]).filter(|v| v.is_finite());
-                    let measured = measured.map_or_else(String::new, |v| format!("{:.6}", v.to_degrees()));
-                    let [full, reduced] = [&judged.full_rad, &judged.reduced_rad].map(|m| m[(k, j)].to_degrees());
-                    let _ = write!(text, ",{measured},{full:.6},{reduced:.6}");
+                    let angles = [&record.output, &judged.full_rad, &judged.reduced_rad].map(|m| m[(k, j)]);
+                    let cell = |v: f64| if v.is_finite() { format!("{:.6}", v.to_degrees()) } else { String::new() };
+                    row.extend(angles.map(cell));
                 }
-                text += "\r\n";
+                rows.push(row);
             }
         }
-        text
+        table(&header, rows.into_iter())
     }
 }

@@ -4,4 +4,4 @@ pub(crate) mod applied;
 pub(crate) mod export;
 pub(crate) mod provenance;
 pub(crate) mod saved;
-mod tables;
+pub(super) mod tables;

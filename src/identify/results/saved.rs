@@ -165,7 +165,7 @@ impl Saved {
             return Err(format!("its format is `{}`", raw.format));
         }
         let period_s =
-            Some(raw.period_s).filter(|s| s.is_finite() && *s > 0.0).ok_or("period_s is no number above 0")?;
+            Some(raw.period_s).filter(|s| s.is_finite() && *s > 0.0).ok_or("period_s is not a number above 0")?;
         let with_unit =
             |s: &RawSignal| if s.unit.is_empty() { s.name.clone() } else { format!("{} ({})", s.name, s.unit) };
         let full = raw.full.as_ref().unwrap_or(&raw.arx);

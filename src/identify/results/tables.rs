@@ -14,7 +14,7 @@ fn writer() -> csv::Writer<Vec<u8>> {
 }
 
 /// A table of text cells with a header.
-fn table(header: &[String], rows: impl Iterator<Item = Vec<String>>) -> io::Result<Vec<u8>> {
+pub(in crate::identify) fn table(header: &[String], rows: impl Iterator<Item = Vec<String>>) -> io::Result<Vec<u8>> {
     let mut writer = writer();
     writer.write_record(header).map_err(io::Error::other)?;
     for row in rows {
@@ -23,7 +23,7 @@ fn table(header: &[String], rows: impl Iterator<Item = Vec<String>>) -> io::Resu
     writer.into_inner().map_err(|e| io::Error::other(e.to_string()))
 }
 
-fn texts(words: &[&str]) -> Vec<String> {
+pub(in crate::identify) fn texts(words: &[&str]) -> Vec<String> {
     words.iter().map(|w| (*w).to_owned()).collect()
 }
 

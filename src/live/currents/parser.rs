@@ -314,7 +314,7 @@ impl Parser {
                         ""
                     };
                     tracing::warn!(
-                        "{}: `{}` is no sample of currents{why}; expected {{\"current_a\":[0.1,0]}} or 0.1, 0; more \
+                        "{}: `{}` is not a sample of currents{why}; expected {{\"current_a\":[0.1,0]}} or 0.1, 0; more \
                          are counted",
                         self.name,
                         said.escape_debug()

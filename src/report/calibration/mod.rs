@@ -177,7 +177,7 @@ fn which_matters(verdict: &Verdict) -> String {
          are to be joined with something this camera did not measure: the scanner’s isocentre, a drawing of the tank, \
          another camera.{why}</p>\n<p><strong>Noise, {}.</strong> What the noise of a corner, {:.3} px here, adds to \
          its place in a single frame. {limit} Noise averages out over frames, what the calibration adds does not. \
-         Bands are no corners: their own σ is in the report of each tracking.</p>\n\
+         Bands are not corners: their own σ is in the report of each tracking.</p>\n\
          <p class=\"note\">All are 1σ: twice as much is no surprise. And all suppose that mirrors and walls are flat, \
          that squares, glass and refractive indices are what was given, and that camera, mirror and tank stay where \
          they were: calibrate again after moving one of them.</p>\n",
@@ -269,7 +269,7 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
     let judged = if edges.beyond_noise() || diagonals.beyond_noise() {
         "That is more than the noise of the corners explains."
     } else if edges.below_noise() {
-        "Neighbouring corners are off together: what is wrong with them is no noise."
+        "Neighbouring corners are off together: what is wrong with them is not noise."
     } else {
         "Nothing but the noise of the corners shows in them."
     };

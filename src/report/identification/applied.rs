@@ -64,7 +64,7 @@ fn cards(done: &Applied, provenance: &Provenance) -> String {
         let text = match error {
             e if e < 1.0 => format!("{e:.3} %"),
             e if e < 1e3 => format!("{e:.1} %"),
-            _ => "runs away".to_owned(),
+            _ => "diverges".to_owned(),
         };
         let title = leading.map_or("", |m| m.title.as_str());
         cards += &card("Simulation error", text, format!("of energy, {}: {title}", record.name), error >= 100.0);

@@ -69,7 +69,7 @@ fn number_to(value: f64, behind: usize) -> Html {
 
 fn percent(value: f64) -> Html {
     if !value.is_finite() {
-        "runs away".into()
+        "diverges".into()
     } else if value < 1e4 {
         format!("{value:.4}").into()
     } else {
@@ -121,7 +121,7 @@ fn cards(done: &Identification, provenance: &Provenance) -> String {
             let text = match error {
                 e if e < 1.0 => format!("{e:.3} %"),
                 e if e < 1e3 => format!("{e:.1} %"),
-                _ => "runs away".to_owned(),
+                _ => "diverges".to_owned(),
             };
             let what = format!("of energy, {of}: {}", model.title);
             cards += &card("Simulation error", text, what, !model.is_stable() || error >= 100.0);
@@ -490,6 +490,6 @@ mod tests {
         assert_eq!(number(1.5e-7).to_string(), "1.5000·10<sup>−7</sup>");
         assert_eq!(polynomial(&[1.0, 4.59, -1.136]), "s<sup>2</sup> + 4.5900 s − 1.1360");
         assert_eq!(polynomial(&[17610.0, 6344.0]), "17610 s + 6344.0");
-        assert_eq!(percent(f64::INFINITY).to_string(), "runs away");
+        assert_eq!(percent(f64::INFINITY).to_string(), "diverges");
     }
 }

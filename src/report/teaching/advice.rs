@@ -39,7 +39,7 @@ pub(super) fn advice(done: &Teaching) -> Vec<String> {
             let named: Vec<String> = others.iter().take(MAX_NAMED).map(|name| format!("`{name}`")).collect();
             let more = if others.len() > MAX_NAMED { " and others" } else { "" };
             all.push(format!(
-                "View `{}`: `{}` is hardly told from {}{more} by colour. {advice}",
+                "View `{}`: `{}` can hardly be distinguished from {}{more} by colour. {advice}",
                 view_name(v),
                 marker_name(m),
                 named.join(", ")

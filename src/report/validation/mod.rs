@@ -146,7 +146,7 @@ fn cards(validation: &Validation) -> String {
             of("Fastest", fastest);
             let (value, words) = match bandwidth_hz(validation) {
                 Some(hz) => (format!("{hz:.2} Hz"), "3 dB below the slowest run"),
-                None if validation.path.circle.is_none() => ("–".to_owned(), "the path is no circle"),
+                None if validation.path.circle.is_none() => ("–".to_owned(), "the path is not a circle"),
                 None => ("–".to_owned(), "does not fall by 3 dB"),
             };
             cards += &card("Bandwidth", value, words, false);
@@ -211,7 +211,7 @@ fn response(validation: &Validation, model: Option<&ModelLine>) -> String {
             circle.radius_m * 1e3
         ),
         None => {
-            "the path is no circle: root mean square distance of the observed points from their mean, over that of \
+            "the path is not a circle: root mean square distance of the observed points from their mean, over that of \
             the path"
                 .to_owned()
         }

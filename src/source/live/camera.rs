@@ -253,10 +253,6 @@ impl FrameSource for Camera {
         self.size_px
     }
 
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
-
     fn faults(&self) -> StreamFaults {
         self.faults
     }

@@ -105,7 +105,7 @@ impl Session {
         let described = format!("{text} ! appsink name=catoptra_sink sync=false max-buffers={QUEUE_LENGTH}");
         let pipeline = gst::parse::launch(&described)
             .map_err(|e| format!("{e}; write it as for gst-launch-1.0, without a sink at its end"))?;
-        let bin = pipeline.downcast_ref::<gst::Bin>().ok_or("it is no pipeline")?;
+        let bin = pipeline.downcast_ref::<gst::Bin>().ok_or("it is not a pipeline")?;
         let sink = bin.by_name("catoptra_sink").and_then(|sink| sink.downcast::<AppSink>().ok());
         let sink = sink.ok_or("its end takes no sink")?;
         sink.set_caps(Some(&wanted()));

@@ -156,10 +156,6 @@ impl FrameSource for RawPictures {
         self.format.size_px
     }
 
-    fn frame_count_hint(&self) -> Option<u64> {
-        None
-    }
-
     fn faults(&self) -> StreamFaults {
         self.faults
     }

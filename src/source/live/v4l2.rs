@@ -69,7 +69,7 @@ struct Session {
 impl Session {
     fn open(name: &str, path: &Path, settings: &CameraSettings) -> Result<Self, String> {
         let device = Device::with_path(path).map_err(|e| format!("no camera that can be opened ({e})"))?;
-        let caps = device.query_caps().map_err(|e| format!("is no camera ({e})"))?;
+        let caps = device.query_caps().map_err(|e| format!("is not a camera ({e})"))?;
         let needed = capability::Flags::VIDEO_CAPTURE | capability::Flags::STREAMING;
         if !caps.capabilities.contains(needed) {
             return Err(format!(
@@ -418,6 +418,6 @@ mod tests {
         let error = open("/dev/video_that_is_not_there");
         assert!(error.contains("/dev/video_that_is_not_there") && error.contains("No such file"), "{error}");
         let error = open("/dev/null");
-        assert!(error.contains("/dev/null: is no camera"), "{error}");
+        assert!(error.contains("/dev/null: is not a camera"), "{error}");
     }
 }

@@ -276,7 +276,7 @@ export class Calibrate {
     for (const file of files) {
       say(`Keeping ${file.name} …`);
       try {
-        if (!KINDS.test(file.name)) throw new Error(`${file.name}: is no picture`);
+        if (!KINDS.test(file.name)) throw new Error(`${file.name}: is not a picture`);
         const { picture } = await ask("board/keep", {
           folder: this.folder.value,
           name: file.name,

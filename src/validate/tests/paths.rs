@@ -25,7 +25,7 @@ fn paths_are_read_with_their_periods_and_directions() {
     assert_eq!((path.points.len(), path.periods), (4, 2));
     assert_eq!(
         read(&twice, Some(3), None).unwrap_err(),
-        "path.csv: has 8 rows, which is no multiple of 3 points per period"
+        "path.csv: has 8 rows, which is not a multiple of 3 points per period"
     );
     assert!(
         read(&twice, Some(2), None)
