@@ -256,8 +256,9 @@ mod tests {
     use crate::testing::fixture;
     use crate::track::TrackOptions;
     use nalgebra::Vector3;
+    use parking_lot::Mutex;
+    use std::sync::Arc;
     use std::sync::atomic::AtomicU64;
-    use std::sync::{Arc, Mutex};
 
     const SIZE_PX: [u32; 2] = [64, 48];
 
@@ -317,7 +318,7 @@ mod tests {
 
     impl Seen {
         fn get(&self) -> (Vec<u64>, u32) {
-            self.0.lock().unwrap().clone()
+            self.0.lock().clone()
         }
     }
 
@@ -348,12 +349,12 @@ mod tests {
             if self.fails_at == Some(estimate.seq) {
                 return Err(full());
             }
-            self.seen.0.lock().unwrap().0.push(estimate.seq);
+            self.seen.0.lock().0.push(estimate.seq);
             Ok(())
         }
 
         fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
-            self.seen.0.lock().unwrap().1 += 1;
+            self.seen.0.lock().1 += 1;
             if self.fails_at.is_some() { Err(full()) } else { Ok(()) }
         }
     }

@@ -1,7 +1,7 @@
 //! Keeps libraries from flooding the terminal: shows only the first few messages of each kind.
 
+use parking_lot::Mutex;
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
 use tracing::subscriber::Interest;
 use tracing::{Event, Metadata, Subscriber};
 use tracing_subscriber::layer::{Context, Filter};
@@ -27,7 +27,7 @@ impl<S: Subscriber> Filter<S> for Flood {
         if metadata.target().starts_with("catoptra") {
             return true;
         }
-        let mut shown = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut shown = self.0.lock();
         let count = shown.entry((metadata.name(), metadata.line())).or_default();
         *count += 1;
         *count <= MAX_PER_CALL_SITE
@@ -38,7 +38,7 @@ impl Flood {
     /// Number of messages not shown.
     #[cfg(test)]
     fn hidden(&self) -> u64 {
-        let shown = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let shown = self.0.lock();
         shown.values().map(|count| count.saturating_sub(MAX_PER_CALL_SITE)).sum()
     }
 }
@@ -56,7 +56,7 @@ mod tests {
 
     impl Write for Lines {
         fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-            self.0.lock().unwrap().write(bytes)
+            self.0.lock().write(bytes)
         }
 
         fn flush(&mut self) -> std::io::Result<()> {
@@ -86,7 +86,7 @@ mod tests {
                 tracing::warn!(target: "catoptra::sink", "ours");
             }
         });
-        let text = String::from_utf8(lines.0.lock().unwrap().clone()).unwrap();
+        let text = String::from_utf8(lines.0.lock().clone()).unwrap();
         let count = |what: &str| text.lines().filter(|line| line.contains(what)).count();
         assert_eq!((count("dropping client"), count("ours"), flood.hidden()), (5, 1000, 995));
     }

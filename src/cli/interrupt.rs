@@ -3,9 +3,10 @@
 //! ([`end_at_once`]).
 
 use super::{Exit, Failure};
+use parking_lot::{Mutex, MutexGuard};
 use std::io::Write as _;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 #[allow(
     unsafe_code,
@@ -58,7 +59,7 @@ pub(super) fn end_at_once() -> Result<(), Failure> {
 
 /// Delays termination until the guard is dropped.
 pub(super) fn wait() -> MutexGuard<'static, ()> {
-    WRITING.lock().unwrap_or_else(PoisonError::into_inner)
+    WRITING.lock()
 }
 
 fn cannot_watch(error: ctrlc::Error) -> Failure {

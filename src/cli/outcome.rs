@@ -16,10 +16,11 @@
 
 use super::warned::Work;
 use super::{Exit, Failure, output};
+use parking_lot::Mutex;
 use serde_json::{Value, json};
 use std::error::Error;
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 const SCHEMA: u32 = 1;
 
@@ -63,7 +64,7 @@ impl Outcome {
     /// Prints part of the text, or keeps it for later.
     pub(super) fn print(&self, text: &str) -> Result<(), Failure> {
         if self.json {
-            lock(&self.text).push_str(text);
+            self.text.lock().push_str(text);
             return Ok(());
         }
         if self.quiet { Ok(()) } else { output::print(text) }
@@ -75,7 +76,7 @@ impl Outcome {
     /// When there are none, although they are needed.
     pub(super) fn found(&self, results: impl FnOnce() -> Result<Value, Failure>) -> Result<(), Failure> {
         if self.json {
-            *lock(&self.results) = results()?;
+            *self.results.lock() = results()?;
         }
         Ok(())
     }
@@ -97,7 +98,7 @@ impl Outcome {
 
 /// Notes that a file was written.
 pub(super) fn wrote(path: &Path) {
-    lock(&WRITTEN).push(path.display().to_string());
+    WRITTEN.lock().push(path.display().to_string());
 }
 
 /// Does the work of `command`, and reports its outcome in the requested form.
@@ -110,11 +111,11 @@ pub(super) fn of(
     let outcome = Outcome { json: json.json, quiet, text: Mutex::default(), results: Mutex::default() };
     let work = Arc::new(Work::new());
     if outcome.json {
-        *lock(&RUNNING) = Some((command.to_owned(), Arc::clone(&work)));
+        *RUNNING.lock() = Some((command.to_owned(), Arc::clone(&work)));
     }
     let ended = work.within(|| run(&outcome));
-    let results = std::mem::take(&mut *lock(&outcome.results));
-    let text = std::mem::take(&mut *lock(&outcome.text));
+    let results = std::mem::take(&mut *outcome.results.lock());
+    let text = std::mem::take(&mut *outcome.text.lock());
     print_once(ended.as_ref().map_err(|failure| (failure.exit(), failure.message())).copied(), results, text)?;
     ended
 }
@@ -127,7 +128,7 @@ pub(super) fn interrupted() {
 
 /// Prints the outcome of the running command, unless that was done.
 fn print_once(ended: Result<(), (Exit, String)>, results: Value, text: String) -> Result<(), Failure> {
-    let mut running = lock(&RUNNING);
+    let mut running = RUNNING.lock();
     let Some((command, work)) = running.take() else { return Ok(()) };
     let (word, code) = match ended.as_ref().map_err(|(exit, _)| *exit) {
         Ok(()) => ("good", 0),
@@ -143,15 +144,11 @@ fn print_once(ended: Result<(), (Exit, String)>, results: Value, text: String) -
         "exit_code": code,
         "error": ended.err().map(|(_, message)| message),
         "warnings": work.warned().warnings,
-        "written": std::mem::take(&mut *lock(&WRITTEN)),
+        "written": std::mem::take(&mut *WRITTEN.lock()),
         "results": results,
         "text": text,
     });
     output::print(&format!("{whole:#}\n"))
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
@@ -169,6 +166,6 @@ mod tests {
         assert!(missing(false).is_ok());
         let good = outcome(true);
         good.found(|| Ok(json!(7))).unwrap();
-        assert_eq!(*lock(&good.results), 7);
+        assert_eq!(*good.results.lock(), 7);
     }
 }

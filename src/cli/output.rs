@@ -59,7 +59,7 @@ pub(super) fn is_free_for_page(path: &Path) -> Result<(), Failure> {
 }
 
 /// Writes a file in one step.
-pub(super) fn save(path: &Path, text: impl AsRef<[u8]>) -> Result<(), Failure> {
+pub(super) fn save(path: &Path, text: &(impl AsRef<[u8]> + ?Sized)) -> Result<(), Failure> {
     atomic_file::write(path, text.as_ref())
         .map_err(|e| Failure::because(Exit::Failed, format!("{}: cannot be written: {e}", path.display()), e))
 }

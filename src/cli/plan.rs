@@ -9,9 +9,9 @@ use crate::report::plan as page;
 use crate::rig::Rig;
 use crate::simulate::Mount;
 use crate::simulate::plan::{Plan, Planned};
+use parking_lot::Mutex;
 use std::fmt::Write as _;
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
 
 /// Arguments of `catoptra plan`.
 #[derive(Debug, clap::Args)]
@@ -35,7 +35,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let of_rig = |text: String| Failure::usage(format!("{}: {text}", args.rig.display()));
     let mount = Mount::of(&rig, catheter.as_ref()).map_err(|e| of_rig(e.to_string()))?;
     let progress = Mutex::new(Progress::of(None, "shapes", quiet));
-    let watch = || progress.lock().unwrap_or_else(PoisonError::into_inner).one_more();
+    let watch = || progress.lock().one_more();
     let plan = Plan::of(&rig, &mount, watch).map_err(|e| of_rig(e.to_string()))?;
     drop(progress);
     let name = args.rig.display().to_string();

@@ -1,8 +1,8 @@
 //! A progress bar on stderr, and a stderr writer that does not collide with it.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use parking_lot::Mutex;
 use std::io::{self, IsTerminal as _, Write};
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Shorter work shows no bar.
@@ -67,7 +67,7 @@ impl Progress {
         if self.shown == Shown::NotYet && self.began.elapsed() > SHOW_AFTER {
             self.shown = Shown::Now;
             self.bar.set_draw_target(ProgressDrawTarget::stderr());
-            *lock() = Some(self.bar.clone());
+            *SHOWN.lock() = Some(self.bar.clone());
         }
     }
 }
@@ -85,7 +85,7 @@ impl Line {
         if let Ok(style) = ProgressStyle::with_template("{msg}") {
             bar.set_style(style);
         }
-        *lock() = Some(bar.clone());
+        *SHOWN.lock() = Some(bar.clone());
         Self(Some(bar))
     }
 
@@ -137,7 +137,7 @@ impl Drop for Line {
     fn drop(&mut self) {
         if let Some(bar) = &self.0 {
             bar.finish_and_clear();
-            *lock() = None;
+            *SHOWN.lock() = None;
         }
     }
 }
@@ -146,13 +146,9 @@ impl Drop for Progress {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
         if self.shown == Shown::Now {
-            *lock() = None;
+            *SHOWN.lock() = None;
         }
     }
-}
-
-fn lock() -> std::sync::MutexGuard<'static, Option<ProgressBar>> {
-    SHOWN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Stderr that hides the bar while writing.
@@ -165,7 +161,7 @@ struct Stderr;
 impl Write for Stderr {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let write = || io::stderr().lock().write_all(bytes).map(|()| bytes.len());
-        match &*lock() {
+        match &*SHOWN.lock() {
             Some(bar) => bar.suspend(write),
             None => write(),
         }

@@ -7,13 +7,14 @@ use super::{Exit, Failure, calibrate, interrupt, output, progress};
 use crate::rig::Draft;
 use crate::source::host::HostClock;
 use crate::studio::{Camera, Desk, Places, Server, Start, VerbResult, Verbs, Watch};
+use parking_lot::Mutex;
 use std::io::Write as _;
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::str::FromStr;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// How often it is looked whether to end.
@@ -152,9 +153,7 @@ fn run_verb(verb: impl FnOnce(&dyn Fn(&str) -> Result<(), Failure>) -> Result<()
     let _alone = ALONE.lock();
     let text = Mutex::new(String::new());
     let print = |part: &str| {
-        if let Ok(mut text) = text.lock() {
-            text.push_str(part);
-        }
+        text.lock().push_str(part);
         Ok(())
     };
     let work = Work::new();
@@ -168,7 +167,7 @@ fn run_verb(verb: impl FnOnce(&dyn Fn(&str) -> Result<(), Failure>) -> Result<()
     };
     VerbResult {
         code,
-        text: text.into_inner().unwrap_or_default(),
+        text: text.into_inner(),
         error: ended.err().map(|failure| failure.message()),
         warnings: work.warned().warnings,
     }

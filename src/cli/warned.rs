@@ -3,9 +3,10 @@
 //! A span represents the work; a warning within it, in any thread, belongs to it. The threads of a run inherit the span
 //! ([`crate::pipeline::run`]).
 
+use parking_lot::{Mutex, MutexGuard};
 use std::collections::HashMap;
 use std::fmt::{self, Write as _};
-use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
+use std::sync::LazyLock;
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id};
 use tracing::{Event, Level, Metadata, Span, Subscriber};
@@ -51,7 +52,7 @@ impl Work {
 }
 
 fn open() -> MutexGuard<'static, HashMap<u64, Warnings>> {
-    OPEN.lock().unwrap_or_else(PoisonError::into_inner)
+    OPEN.lock()
 }
 
 /// Collects; a part of the program's subscriber.

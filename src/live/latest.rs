@@ -8,9 +8,10 @@ use super::status::Status;
 use crate::estimate::Estimate;
 use crate::sink::CurrentSample;
 use crate::source::Picture;
+use parking_lot::Mutex;
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 
 /// Rows that are kept: a minute at 60 Hz.
 const MAX_SHOWN: usize = 3600;
@@ -38,13 +39,9 @@ struct LatestState {
 impl Latest {
     /// From the tracker's thread: never waits.
     pub(super) fn put(&self, estimate: &Arc<Estimate>, picture: Option<&Arc<Picture>>) {
-        let mut left = match self.left.try_lock() {
-            Ok(left) => left,
-            Err(TryLockError::Poisoned(left)) => left.into_inner(),
-            Err(TryLockError::WouldBlock) => {
-                self.missed.fetch_add(1, Ordering::Relaxed);
-                return;
-            }
+        let Some(mut left) = self.left.try_lock() else {
+            self.missed.fetch_add(1, Ordering::Relaxed);
+            return;
         };
         if left.rows.len() >= MAX_SHOWN {
             left.rows.pop_front();
@@ -58,7 +55,7 @@ impl Latest {
     }
 
     pub(super) fn put_current(&self, sample: &CurrentSample) {
-        let mut left = self.lock();
+        let mut left = self.left.lock();
         if left.currents.len() >= MAX_CURRENTS {
             left.currents.pop_front();
         }
@@ -66,14 +63,14 @@ impl Latest {
     }
 
     pub(super) fn put_status(&self, status: &Status) {
-        let mut left = self.lock();
+        let mut left = self.left.lock();
         left.passed_over = status.skipped.saturating_sub(left.status.skipped);
         left.status = status.clone();
     }
 
     /// Rows after the one with this number, oldest first; all when it is `None`.
     pub fn rows_after(&self, seq: Option<u64>) -> Vec<Arc<Estimate>> {
-        let left = self.lock();
+        let left = self.left.lock();
         let new = left.rows.iter().rev().take_while(|row| seq.is_none_or(|seq| row.seq > seq));
         let mut rows: Vec<_> = new.cloned().collect();
         drop(left);
@@ -84,7 +81,7 @@ impl Latest {
     /// The newest picture that was kept, with what was measured in it; asks for one more. Nothing while the tracker
     /// does not keep up: pictures give way first.
     pub fn picture(&self) -> Option<(Arc<Estimate>, Arc<Picture>)> {
-        let left = self.lock();
+        let left = self.left.lock();
         if left.passed_over > 0 {
             return None;
         }
@@ -94,21 +91,17 @@ impl Latest {
 
     /// Samples of the coils' currents after this time of the host, nanoseconds since 1970.
     pub fn currents_after(&self, host_ns: i64) -> Vec<CurrentSample> {
-        self.lock().currents.iter().filter(|sample| sample.host_ns > host_ns).cloned().collect()
+        self.left.lock().currents.iter().filter(|sample| sample.host_ns > host_ns).cloned().collect()
     }
 
     /// How it goes, of the last second.
     pub fn status(&self) -> Status {
-        self.lock().status.clone()
+        self.left.lock().status.clone()
     }
 
     /// Rows that are not here, because somebody was reading when they came. The log has them.
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
-    }
-
-    fn lock(&self) -> MutexGuard<'_, LatestState> {
-        self.left.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -130,7 +123,7 @@ mod tests {
     fn the_tracker_does_not_wait_for_who_reads() {
         let latest = Latest::default();
         latest.put(&row(0), None);
-        let reading = latest.lock();
+        let reading = latest.left.lock();
         std::thread::scope(|scope| {
             scope.spawn(|| latest.put(&row(1), None)).join().unwrap();
         });

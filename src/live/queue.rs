@@ -6,8 +6,8 @@
 use crate::estimate::{Estimate, Miss};
 use crate::rig::Rig;
 use crate::source::Frame;
+use parking_lot::{Condvar, Mutex};
 use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Pictures that may wait: memory is bounded. At 600 Hz so many come within `MAX_AGE`.
@@ -56,7 +56,7 @@ impl Queue {
     }
 
     fn push_at(&self, now: Instant, frame: Frame) {
-        let mut line = self.lock();
+        let mut line = self.line.lock();
         let waiting = line.waiting.len();
         let oldest = line.waiting.front().map(|(since, _)| now.saturating_duration_since(*since));
         if waiting >= MAX_WAITING || (waiting >= ALWAYS_KEPT && oldest.is_some_and(|age| age > MAX_AGE)) {
@@ -70,16 +70,16 @@ impl Queue {
 
     /// No more frames will come.
     pub(super) fn close(&self) {
-        self.lock().closed = true;
+        self.line.lock().closed = true;
         self.changed.notify_all();
     }
 
     /// The next frame, and the rows before it; waits up to `patience`.
     pub(super) fn next(&self, patience: Duration) -> Next {
-        let mut line = self.lock();
+        let mut line = self.line.lock();
         if line.waiting.is_empty() && line.skipped.is_empty() && !line.closed {
             let waits = |s: &mut QueueState| s.waiting.is_empty() && !s.closed;
-            line = self.changed.wait_timeout_while(line, patience, waits).unwrap_or_else(PoisonError::into_inner).0;
+            self.changed.wait_while_for(&mut line, waits, patience);
         }
         let skipped = std::mem::take(&mut line.skipped);
         let frame = line.waiting.pop_front().map(|(_, frame)| frame);
@@ -88,11 +88,6 @@ impl Queue {
             (true, false) => Next::Silence,
             (false, _) => Next::Frames(skipped, frame),
         }
-    }
-
-    /// The lock; a thread that panicked with it leaves a whole line behind.
-    fn lock(&self) -> MutexGuard<'_, QueueState> {
-        self.line.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

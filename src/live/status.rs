@@ -4,7 +4,8 @@ use crate::estimate::Estimate;
 use crate::source::host::HostClock;
 use crate::tally::{AlarmInWords, Tally, Totals};
 use hdrhistogram::Histogram;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Latencies up to ten seconds are told apart.
@@ -89,7 +90,7 @@ impl Counters {
     /// Counts a frame, when it has been sent to whoever waits for it; the totals, when they are to be reported.
     pub(super) fn add(&self, estimate: &Arc<Estimate>, tracked: bool) -> Option<Totals> {
         let now_ns = self.clock.now_ns();
-        let mut counts = self.lock();
+        let mut counts = self.counts.lock();
         let due = counts.tally.add(estimate);
         if let (Some(host), true) = (estimate.host, tracked) {
             let took_us = u64::try_from(now_ns.saturating_sub(host.arrival_ns) / 1000).unwrap_or(0);
@@ -103,12 +104,12 @@ impl Counters {
 
     /// Keeps a warning, for who looks later.
     pub(super) fn warn(&self, warning: String) {
-        self.lock().warnings.push(warning);
+        self.counts.lock().warnings.push(warning);
     }
 
     /// How it goes; the counts of new frames begin again.
     pub(super) fn status(&self) -> Status {
-        let mut counts = self.lock();
+        let mut counts = self.counts.lock();
         let silent = counts.pace.silence(Instant::now());
         let latest = counts.latest.as_ref().filter(|_| silent.is_none());
         let located = latest.map_or(0, |e| e.markers.iter().filter(|m| m.position.is_ok()).count());
@@ -133,12 +134,8 @@ impl Counters {
 
     /// Totals, and the latency of all frames.
     pub(super) fn totals(&self) -> (Tally, Latency) {
-        let counts = self.lock();
+        let counts = self.counts.lock();
         (counts.tally.clone(), latency(&counts.whole))
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Counts> {
-        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

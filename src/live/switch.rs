@@ -3,8 +3,8 @@
 //! Whoever looks on turns it. The tracker reads one number for each frame and never waits; the thread that records sees
 //! to the rest, and tells here what became of it.
 
+use parking_lot::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The number of a stretch that is recorded is odd, that of one that is not is even.
 pub(super) const FROM_THE_BEGINNING: u64 = 1;
@@ -50,7 +50,7 @@ impl RecordSwitch {
 
     /// Begins a stretch, recorded as `how` says; nothing when one is being recorded.
     pub fn start(&self, how: &str) {
-        let mut turned = self.lock();
+        let mut turned = self.turned.lock();
         if is_on(self.stretch.load(Ordering::Relaxed)) {
             return;
         }
@@ -62,7 +62,7 @@ impl RecordSwitch {
 
     /// Ends it. Pictures that wait are recorded still.
     pub fn stop(&self) {
-        let mut turned = self.lock();
+        let mut turned = self.turned.lock();
         if is_on(self.stretch.load(Ordering::Relaxed)) {
             turned.state.on = false;
             self.stretch.fetch_add(1, Ordering::Release);
@@ -71,7 +71,7 @@ impl RecordSwitch {
 
     /// How it goes.
     pub fn state(&self) -> RecordState {
-        self.lock().state.clone()
+        self.turned.lock().state.clone()
     }
 
     /// The number of the stretch that a frame of now is in.
@@ -81,22 +81,18 @@ impl RecordSwitch {
 
     /// How the last stretch was asked to be recorded.
     pub(super) fn how(&self) -> String {
-        self.lock().how.clone()
+        self.turned.lock().how.clone()
     }
 
     pub(super) fn began(&self, place: String) {
-        let mut turned = self.lock();
+        let mut turned = self.turned.lock();
         if turned.state.places.last() != Some(&place) {
             turned.state.places.push(place);
         }
     }
 
     pub(super) fn failed(&self, problem: String) {
-        self.lock().state.problem = Some(problem);
-    }
-
-    fn lock(&self) -> MutexGuard<'_, SwitchState> {
-        self.turned.lock().unwrap_or_else(PoisonError::into_inner)
+        self.turned.lock().state.problem = Some(problem);
     }
 }
 

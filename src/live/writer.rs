@@ -168,19 +168,19 @@ mod tests {
     use super::*;
     use crate::tally::Tally;
     use crate::testing::fixture;
-    use std::sync::Mutex;
+    use parking_lot::Mutex;
 
     /// Writes once it may, and counts frames and currents.
     struct Slow(Arc<Mutex<[usize; 2]>>);
 
     impl Sink for Slow {
         fn write(&mut self, _: &Estimate, _: Option<&crate::source::Picture>) -> Result<(), SinkError> {
-            self.0.lock().unwrap()[0] += 1;
+            self.0.lock()[0] += 1;
             Ok(())
         }
 
         fn write_current(&mut self, _: &CurrentSample) -> Result<(), SinkError> {
-            self.0.lock().unwrap()[1] += 1;
+            self.0.lock()[1] += 1;
             Ok(())
         }
 
@@ -192,7 +192,7 @@ mod tests {
     #[test]
     fn currents_do_not_take_the_place_of_frames() {
         let written = Arc::new(Mutex::new([0; 2]));
-        let disk = written.lock().unwrap();
+        let disk = written.lock();
         let (log, thread) = Log::start(vec![Box::new(Slow(Arc::clone(&written)))]).unwrap();
         let current = || Entry::Current(CurrentSample { host_ns: 0, arrival_ns: 0, seq: None, current_a: vec![0.0] });
         let taken = (0..2 * MAX_ROWS).filter(|_| log.put(current())).count();
@@ -202,7 +202,7 @@ mod tests {
         assert_eq!((backlog.unlogged_frames(), backlog.unlogged_currents()), (0, (2 * MAX_ROWS - taken) as u64));
         drop((disk, log));
         thread.join().unwrap();
-        assert_eq!(*written.lock().unwrap(), [frames, taken]);
+        assert_eq!(*written.lock(), [frames, taken]);
         assert!((MAX_ROWS_BEFORE_CURRENT..=MAX_ROWS_BEFORE_CURRENT + 1).contains(&taken), "{taken}");
     }
 }

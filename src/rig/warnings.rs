@@ -7,7 +7,6 @@ use super::{Base, Camera, Draft, Marker, View, polygon};
 use crate::optics::Surface;
 use crate::plural::plural;
 use nalgebra::{Point2, Point3};
-use std::fmt;
 
 /// Beyond this angle a mirror shows little, and a wall reflects more than it lets through.
 const EDGE_ON_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
@@ -30,9 +29,13 @@ const SQUARE: std::ops::RangeInclusive<f64> = 0.92..=1.087;
 pub(crate) const MIRROR_MOVED: &str = "mirror_moved";
 
 /// Something a user should know.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Warning {
     /// Tracing and projection disagree.
+    #[error(
+        "view {view}: pixels do not come back to themselves ({} lost, largest error {max_error_px:.1e} px): do not \
+         measure with this rig", plural(*.lost, "point")
+    )]
     RoundTrip {
         /// The view.
         view: String,
@@ -42,6 +45,7 @@ pub enum Warning {
         max_error_px: f64,
     },
     /// Some pixels of a view have no ray.
+    #[error("view {view}: {without_ray} of {pixels} grid pixels have no ray; check surfaces and region")]
     PartlyBlind {
         /// The view.
         view: String,
@@ -51,13 +55,21 @@ pub enum Warning {
         pixels: usize,
     },
     /// One view gives no depth.
+    #[error("one view only: no position in space can be measured")]
     SingleView,
     /// The views look at different places.
+    #[error(
+        "the central rays of the views {}: are mirror, walls and regions where they are on the bench, in millimetres?",
+        .apart_m.map_or_else(
+            || "do not meet behind the surfaces".to_owned(), |m| format!("pass {:.0} mm apart", m * 1e3)
+        )
+    )]
     ViewsApart {
         /// How far apart their central rays pass, metres; `None` if they do not come near each other before the camera.
         apart_m: Option<f64>,
     },
     /// A length that is implausible in millimetres.
+    #[error("{what} {} mm: are all lengths in the file millimetres?", (.length_m * 1e6).round() / 1e3)]
     Scale {
         /// What has this length, in words.
         what: String,
@@ -65,6 +77,11 @@ pub enum Warning {
         length_m: f64,
     },
     /// The tube's image is so narrow that σ of what is measured on it is too small.
+    #[error(
+        "view {view}: the tube is {width_px:.1} pixels wide; below {:.0} some frames are missed and σ is too small: \
+         use larger pictures or a longer lens",
+        LEAST_TUBE_PX
+    )]
     NarrowTube {
         /// The view.
         view: String,
@@ -72,16 +89,19 @@ pub enum Warning {
         width_px: f64,
     },
     /// The first two views look in nearly the same direction.
+    #[error("the views look along nearly the same direction ({:.1}°): depth will be weak", .angle_rad.to_degrees())]
     NarrowAngle {
         /// Angle between the central rays, radians.
         angle_rad: f64,
     },
     /// The views end in different media: the marker cannot be in both.
+    #[error("the views end in media of different index {indices:?}: a marker cannot be in both")]
     MediaDiffer {
         /// Index of refraction at the end of the views' paths.
         indices: Vec<f64>,
     },
     /// A surface is met at a grazing angle.
+    #[error("view {view}: {surface} is met nearly edge-on ({:.1}° from its normal)", .incidence_rad.to_degrees())]
     EdgeOn {
         /// The view.
         view: String,
@@ -91,11 +111,13 @@ pub enum Warning {
         incidence_rad: f64,
     },
     /// A view without a region, though there are several views.
+    #[error("view {view} has no region_px: any pixel may be taken for this view")]
     NoRegion {
         /// The view.
         view: String,
     },
     /// Two views claim the same pixels.
+    #[error("the regions of {} overlap by about {area_px2:.0} px²: a band there is ambiguous", .views.join(" and "))]
     RegionsOverlap {
         /// The views.
         views: [String; 2],
@@ -103,11 +125,16 @@ pub enum Warning {
         area_px2: f64,
     },
     /// A surface that no view meets.
+    #[error("surface {surface} is on no view's path")]
     UnusedSurface {
         /// The surface.
         surface: String,
     },
     /// A focal length that no camera has for pictures of this size.
+    #[error(
+        "focal lengths of {} and {} px for pictures of {side_px} px are those of no usual camera: are they in pixels, \
+         and for pictures of this size?", .focal_px[0], .focal_px[1]
+    )]
     Focal {
         /// Both, pixels.
         focal_px: [f64; 2],
@@ -115,26 +142,43 @@ pub enum Warning {
         side_px: u32,
     },
     /// Pixels that are not square.
+    #[error(
+        "the focal lengths, {:.1} and {:.1} px, differ as if pixels were not square: were the pictures stretched, or \
+         the numbers exchanged?", .focal_px[0], .focal_px[1]
+    )]
     Oblong {
         /// Both focal lengths, pixels.
         focal_px: [f64; 2],
     },
     /// A corner of the picture without a direction, of a camera whose views are not known yet.
+    #[error(
+        "the distortion folds over inside the picture: corner ({:.0}, {:.0}) has no direction; are these the \
+         coefficients of this model (k1, k2, p1, p2, k3, not a fisheye's)?", .corner_px[0], .corner_px[1]
+    )]
     Folds {
         /// The corner, pixels.
         corner_px: [f64; 2],
     },
     /// The principal point lies far from the picture's centre.
+    #[error(
+        "the principal point is {distance_px:.0} px from the picture's middle: cropped pictures, or a poor \
+         calibration?"
+    )]
     PrincipalPoint {
         /// Distance from the centre, pixels.
         distance_px: f64,
     },
     /// Markers whose colour has not been learned.
+    #[error("no colour learned for {}: run `catoptra calibrate markers`", .markers.join(", "))]
     NoColour {
         /// Their names.
         markers: Vec<String>,
     },
     /// Two markers of which each has the other's colour.
+    #[error(
+        "{} have the same colour in view {view}: each may be taken for the other, with a small σ; paint one of them \
+         in another colour, and run `catoptra calibrate markers`", .markers.join(" and ")
+    )]
     SameColour {
         /// Their names.
         markers: [String; 2],
@@ -142,13 +186,22 @@ pub enum Warning {
         view: String,
     },
     /// Markers whose place along the tube is not known.
+    #[error("centre_mm not given for {}: where the band sits along the tube is unknown", .markers.join(", "))]
     NoPlace {
         /// Their names.
         markers: Vec<String>,
     },
     /// No base frame.
+    #[error("no [base]: positions in the camera frame only, and no deflection angle")]
     NoBase,
     /// The base frame's origin is not where the views look.
+    #[error(
+        "the origin of the base frame, ({:.1}, {:.1}, {:.1}) mm in the camera frame, is {}: is translation_mm in \
+         millimetres, and of base_from_camera?", .origin_mm[0], .origin_mm[1], .origin_mm[2],
+        .apart_m.map_or_else(
+            || "in no view's region".to_owned(), |m| format!("{:.0} mm from where the views look", m * 1e3)
+        )
+    )]
     BaseElsewhere {
         /// Where it is, camera frame, mm.
         origin_mm: [f64; 3],
@@ -156,143 +209,37 @@ pub enum Warning {
         apart_m: Option<f64>,
     },
     /// The base frame was measured before the mirror moved.
+    #[error(
+        "the base frame was measured with the mirror as it was before `calibrate mirror`: measure it again (catoptra \
+         calibrate base)"
+    )]
     BaseBeforeMirror,
     /// B0 is not where the base frame's definition puts it.
+    #[error(
+        "b0 is {:.1}° off the base frame's x-z plane (towards +x), where it belongs by definition",
+        .angle_rad.to_degrees()
+    )]
     B0OffPlane {
         /// Angle between B0 and the base's x-z plane, on the side of +x, radians.
         angle_rad: f64,
     },
     /// Directions in the base frame that no experiment has.
+    #[error("{what}")]
     Directions {
         /// The doubt.
         what: String,
     },
     /// The lens blur has not been measured.
+    #[error("camera.blur_px is not given: the blur of the lens will be assumed")]
     NoBlur,
     /// A calibration had a doubt about its own result.
+    #[error("`calibrate {step}` doubted its own result: {what}")]
     Doubt {
         /// Its step: `rig`, `mirror` or `base`.
         step: String,
         /// The doubt.
         what: String,
     },
-}
-
-impl fmt::Display for Warning {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::RoundTrip { view, lost, max_error_px } => write!(
-                f,
-                "view {view}: pixels do not come back to themselves ({} lost, largest error {max_error_px:.1e} px): do \
-                 not measure with this rig",
-                plural(*lost, "point")
-            ),
-            Self::PartlyBlind { view, without_ray, pixels } => {
-                write!(f, "view {view}: {without_ray} of {pixels} grid pixels have no ray; check surfaces and region")
-            }
-            Self::SingleView => write!(f, "one view only: no position in space can be measured"),
-            Self::ViewsApart { apart_m } => {
-                match apart_m {
-                    Some(m) => write!(f, "the central rays of the views pass {:.0} mm apart", m * 1e3)?,
-                    None => write!(f, "the central rays of the views do not meet behind the surfaces")?,
-                }
-                write!(f, ": are mirror, walls and regions where they are on the bench, in millimetres?")
-            }
-            Self::Scale { what, length_m } => {
-                write!(f, "{what} {} mm: are all lengths in the file millimetres?", (length_m * 1e6).round() / 1e3)
-            }
-            Self::NarrowTube { view, width_px } => {
-                write!(
-                    f,
-                    "view {view}: the tube is {width_px:.1} pixels wide; below {LEAST_TUBE_PX:.0} some frames are \
-                     missed and σ is too small: use larger pictures or a longer lens"
-                )
-            }
-            Self::NarrowAngle { angle_rad } => {
-                write!(
-                    f,
-                    "the views look along nearly the same direction ({:.1}°): depth will be weak",
-                    angle_rad.to_degrees()
-                )
-            }
-            Self::MediaDiffer { indices } => {
-                write!(f, "the views end in media of different index {indices:?}: a marker cannot be in both")
-            }
-            Self::EdgeOn { view, surface, incidence_rad } => {
-                write!(
-                    f,
-                    "view {view}: {surface} is met nearly edge-on ({:.1}° from its normal)",
-                    incidence_rad.to_degrees()
-                )
-            }
-            Self::NoRegion { view } => {
-                write!(f, "view {view} has no region_px: any pixel may be taken for this view")
-            }
-            Self::RegionsOverlap { views: [a, b], area_px2 } => {
-                write!(f, "the regions of {a} and {b} overlap by about {area_px2:.0} px²: a band there is ambiguous")
-            }
-            Self::UnusedSurface { surface } => write!(f, "surface {surface} is on no view's path"),
-            Self::Focal { focal_px: [x, y], side_px } => write!(
-                f,
-                "focal lengths of {x} and {y} px for pictures of {side_px} px are those of no usual camera: are they \
-                 in pixels, and for pictures of this size?"
-            ),
-            Self::Oblong { focal_px: [x, y] } => write!(
-                f,
-                "the focal lengths, {x:.1} and {y:.1} px, differ as if pixels were not square: were the pictures \
-                 stretched, or the numbers exchanged?"
-            ),
-            Self::Folds { corner_px: [x, y] } => write!(
-                f,
-                "the distortion folds over inside the picture: corner ({x:.0}, {y:.0}) has no direction; are these \
-                 the coefficients of this model (k1, k2, p1, p2, k3, not a fisheye's)?"
-            ),
-            Self::PrincipalPoint { distance_px } => {
-                write!(
-                    f,
-                    "the principal point is {distance_px:.0} px from the picture's middle: cropped pictures, or a poor \
-                     calibration?"
-                )
-            }
-            Self::NoColour { markers } => {
-                write!(f, "no colour learned for {}: run `catoptra calibrate markers`", markers.join(", "))
-            }
-            Self::SameColour { markers: [a, b], view } => write!(
-                f,
-                "{a} and {b} have the same colour in view {view}: each may be taken for the other, with a small σ; \
-                 paint one of them in another colour, and run `catoptra calibrate markers`"
-            ),
-            Self::NoPlace { markers } => {
-                write!(
-                    f,
-                    "centre_mm not given for {}: where the band sits along the tube is unknown",
-                    markers.join(", ")
-                )
-            }
-            Self::NoBase => write!(f, "no [base]: positions in the camera frame only, and no deflection angle"),
-            Self::BaseElsewhere { origin_mm: [x, y, z], apart_m } => {
-                write!(f, "the origin of the base frame, ({x:.1}, {y:.1}, {z:.1}) mm in the camera frame, is ")?;
-                match apart_m {
-                    Some(m) => write!(f, "{:.0} mm from where the views look", m * 1e3)?,
-                    None => write!(f, "in no view's region")?,
-                }
-                write!(f, ": is translation_mm in millimetres, and of base_from_camera?")
-            }
-            Self::BaseBeforeMirror => write!(
-                f,
-                "the base frame was measured with the mirror as it was before `calibrate mirror`: measure it again \
-                 (catoptra calibrate base)"
-            ),
-            Self::B0OffPlane { angle_rad } => write!(
-                f,
-                "b0 is {:.1}° off the base frame's x-z plane (towards +x), where it belongs by definition",
-                angle_rad.to_degrees()
-            ),
-            Self::Directions { what } => write!(f, "{what}"),
-            Self::NoBlur => write!(f, "camera.blur_px is not given: the blur of the lens will be assumed"),
-            Self::Doubt { step, what } => write!(f, "`calibrate {step}` doubted its own result: {what}"),
-        }
-    }
 }
 
 /// All warnings, the most serious first.

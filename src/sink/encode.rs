@@ -55,7 +55,7 @@ impl VideoWriter {
         std::fs::File::create(path).map_err(|source| SinkError::Io { path: path.into(), source })?;
         let fail = |doing| move |source| SinkError::Video { path: path.into(), doing, source };
         quiet_libav();
-        let mut output = av::format::output_as(&url_of(path), "mp4").map_err(fail("opening"))?;
+        let mut output = av::format::output_as(url_of(path), "mp4").map_err(fail("opening"))?;
         let (codec, choice) = find_encoder(path)?;
 
         let mut settings = av::codec::Context::new_with_codec(codec).encoder().video().map_err(fail("encoder"))?;

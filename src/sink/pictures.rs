@@ -86,7 +86,7 @@ impl PictureVideo {
         let path = &self.path;
         let fail = |doing| move |source| SinkError::Video { path: path.clone(), doing, source };
         quiet_libav();
-        let mut output = av::format::output_as(&url_of(path), "matroska").map_err(fail("opening"))?;
+        let mut output = av::format::output_as(url_of(path), "matroska").map_err(fail("opening"))?;
         let codec = find(path, self.codec)?;
         let frames = Frames::for_picture(path, picture, self.codec)?;
         let mut settings = av::codec::Context::new_with_codec(codec).encoder().video().map_err(fail("encoder"))?;

@@ -16,8 +16,9 @@ use foxglove::websocket::{ChannelView, Client, ServerListener};
 use foxglove::{
     ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, WebSocketServer, WebSocketServerHandle,
 };
+use parking_lot::Mutex;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 /// Longest queue of one client, messages: two seconds of 60 Hz on all topics.
 const MAX_WAITING: usize = 600;
@@ -94,21 +95,17 @@ impl LastMessages {
     fn publish(&self, message: Message, time_ns: u64) {
         let Some(at) = Topic::ALL.iter().position(|topic| *topic == message.topic) else { return };
         // The lock is held while publishing, so that a client that subscribes meanwhile gets it once, not twice.
-        let mut last = self.lock();
+        let mut last = self.last.lock();
         if let (Some(channel), Some(slot)) = (self.channels.get(at), last.get_mut(at)) {
             channel.log_with_meta(&message.bytes, PartialMetadata::with_log_time(time_ns));
             *slot = Some((time_ns, message.bytes));
         }
     }
-
-    fn lock(&self) -> MutexGuard<'_, Vec<Option<Published>>> {
-        self.last.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl ServerListener for LastMessages {
     fn on_subscribe(&self, client: Client, channel: ChannelView) {
-        let last = self.lock();
+        let last = self.last.lock();
         let Some(at) = self.channels.iter().position(|known| known.topic() == channel.topic()) else { return };
         if let (Some(channel), Some(Some((time_ns, bytes)))) = (self.channels.get(at), last.get(at)) {
             let time = PartialMetadata::with_log_time(*time_ns);

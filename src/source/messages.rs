@@ -6,11 +6,11 @@
 //! has a key, which libav hands to the thread that decodes it, and with the thread's messages back to us.
 
 use ffmpeg_the_third as av;
+use parking_lot::{Mutex, MutexGuard};
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, VecDeque};
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// What a message says of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -113,7 +113,7 @@ impl Drop for Messages {
 }
 
 fn heard() -> MutexGuard<'static, BTreeMap<usize, Said>> {
-    HEARD.lock().unwrap_or_else(PoisonError::into_inner)
+    HEARD.lock()
 }
 
 /// Begins to listen to libav.

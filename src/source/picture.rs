@@ -3,7 +3,8 @@
 use super::jpeg::Steps;
 use super::{Quantisation, Window};
 use nalgebra::{Matrix3, Vector3};
-use std::sync::{Arc, Mutex};
+use parking_lot::Mutex;
+use std::sync::Arc;
 
 /// Largest width and height of a picture, pixels: up to it all moments of blobs are exact in 64-bit integers.
 pub(crate) const LARGEST_SIDE_PX: u32 = 16_384;

@@ -5,7 +5,6 @@
 //! taken for something that the camera saw: reading there is refused.
 
 use super::{Picture, Window};
-use std::sync::PoisonError;
 
 /// A part of a picture was wanted that was not recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -82,7 +81,7 @@ impl Picture {
         {
             return Err(NotRecorded { area });
         }
-        self.reads.read.lock().unwrap_or_else(PoisonError::into_inner).push(area);
+        self.reads.read.lock().push(area);
         Ok(())
     }
 
@@ -91,7 +90,7 @@ impl Picture {
     pub fn windows_read(&self, margin_px: u32) -> Vec<Window> {
         let step = self.coarsest();
         let mut areas: Vec<Window> = {
-            let read = self.reads.read.lock().unwrap_or_else(PoisonError::into_inner);
+            let read = self.reads.read.lock();
             read.iter().map(|area| area.grown(margin_px, step).clipped(self.size_px())).collect()
         };
         // Large ones first: they contain most of the others.

@@ -5,11 +5,12 @@ use crate::calibrate::board::BoardImage;
 use crate::sink::ToBgr;
 use crate::source::{Frame, FrameSource};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
+use parking_lot::{Mutex, MutexGuard};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::io;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -81,12 +82,12 @@ impl Camera {
                     break "the studio has ended".to_owned();
                 }
                 match source.next_frame() {
-                    Ok(Some(frame)) => lock(&shared).put(frame),
+                    Ok(Some(frame)) => shared.lock().put(frame),
                     Ok(None) => break "it has ended; its last picture is shown".to_owned(),
                     Err(error) => break error.to_string(),
                 }
             };
-            lock(&shared).ended = Some(ended);
+            shared.lock().ended = Some(ended);
         })?;
         let (name, stop) = (name.to_owned(), Arc::clone(stop));
         let (to_bgr, looked) = (Mutex::default(), Mutex::default());
@@ -100,7 +101,7 @@ impl Camera {
 
     /// The newest frame.
     pub(super) fn newest(&self) -> Result<Arc<Frame>, Refusal> {
-        let newest = lock(&self.newest);
+        let newest = self.newest.lock();
         let none = || {
             let why = newest.ended.as_deref().unwrap_or("no picture has come yet");
             Refusal { status: 503, words: format!("{}: {why}", self.name) }
@@ -110,7 +111,7 @@ impl Camera {
 
     /// The newest frame, unless the camera has fallen silent: to be kept as what it sees now.
     pub(super) fn current(&self) -> Result<Arc<Frame>, Refusal> {
-        let silence = lock(&self.newest).silence();
+        let silence = self.newest.lock().silence();
         match silence {
             None => self.newest(),
             Some(silence) => {
@@ -122,25 +123,25 @@ impl Camera {
 
     /// The frame that was looked at last.
     pub(super) fn looked(&self) -> MutexGuard<'_, Option<SearchedFrame>> {
-        lock(&self.looked)
+        self.looked.lock()
     }
 
     /// Its picture, whole.
     pub(super) fn rgb(&self, frame: &Frame) -> Result<image::RgbImage, Refusal> {
-        shown::rgb(&mut lock(&self.to_bgr), &frame.picture)
+        shown::rgb(&mut self.to_bgr.lock(), &frame.picture)
     }
 
     /// The newest picture, scaled; nothing when the page has it.
     pub(super) fn look(&self, asked: &LookAsked) -> Result<Reply, Refusal> {
         let frame = self.newest()?;
         let (ended, silence) = {
-            let newest = lock(&self.newest);
+            let newest = self.newest.lock();
             (newest.ended.clone(), newest.silence().map(|silence| silence.as_secs()))
         };
         if asked.after == Some(frame.seq) && ended.is_none() && silence.is_none() {
             return Ok(Reply::Nothing);
         }
-        let jpeg = shown::jpeg(&mut lock(&self.to_bgr), &frame.picture, Some(WIDTH_PX))?;
+        let jpeg = shown::jpeg(&mut self.to_bgr.lock(), &frame.picture, Some(WIDTH_PX))?;
         let jpeg = BASE64_STANDARD.encode(jpeg);
         Ok(Reply::Json(json!({ "seq": frame.seq, "jpeg": jpeg, "ended": ended, "silent_s": silence })))
     }
@@ -162,10 +163,6 @@ impl Drop for Camera {
 pub(super) struct LookAsked {
     /// Number of the picture that the page has.
     after: Option<u64>,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

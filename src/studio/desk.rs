@@ -8,8 +8,9 @@ use super::searched::Boards;
 use super::watch::Watch;
 use super::{Refusal, Start, Verbs};
 use crate::source::{FrameRate, SourceOptions};
+use parking_lot::Mutex;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// Recordings that stay open.
 const MAX_REELS: usize = 3;
@@ -97,14 +98,14 @@ impl Desk {
         self.verbs()?;
         let path = self.places.existing(text)?;
         // By number, a picture is the same at any rate.
-        let open = reused(&mut self.reels.lock().unwrap_or_else(PoisonError::into_inner), |reel| reel.path() == path);
+        let open = reused(&mut self.reels.lock(), |reel| reel.path() == path);
         open.map_or_else(|| self.reel_at(&path, None), Ok)
     }
 
     /// The recording at a whole path, with this rate; with none, that of the command line if it has no times.
     pub(super) fn reel_at(&self, path: &Path, rate: Option<FrameRate>) -> Result<Arc<Reel>, Refusal> {
         // Held while it is opened: two requests open it once.
-        let mut reels = self.reels.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut reels = self.reels.lock();
         if let Some(reel) = reused(&mut reels, |reel| reel.path() == path && reel.asked_rate() == rate) {
             return Ok(reel);
         }

@@ -7,10 +7,11 @@ use crate::archive::hash;
 use crate::calibrate::markers::locate::pixels::Pixels;
 use crate::sink::ToBgr;
 use crate::source::{Frame, FrameRate, FrameSource, SourceOptions, Span};
+use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Builder;
 use std::time::SystemTime;
 
@@ -74,10 +75,6 @@ struct ReelState {
     to_bgr: ToBgr,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Reel {
     /// Opens a recording, and reads its first frame.
     pub(super) fn open(
@@ -91,7 +88,7 @@ impl Reel {
         let first = source.next_frame().map_err(Refusal::wrong)?;
         let first = first.ok_or_else(|| Refusal::wrong(format!("{}: has no frame", path.display())))?;
         let index = Arc::new(Index::default());
-        lock(&index.state).stamps_ns.push(first.stamp.ns);
+        index.state.lock().stamps_ns.push(first.stamp.ns);
         let mut hand = ReelState { reader: Some((1, source)), ..ReelState::default() };
         hand.kept.push_back((0, Arc::new(first)));
         let (path, content, hand) = (path.to_owned(), Arc::default(), Mutex::new(hand));
@@ -123,14 +120,14 @@ impl Reel {
 
     /// SHA-256 of its content, inner `None` when it cannot be read. `None` as long as it is being read: it can be long.
     pub(super) fn sha256(&self) -> Option<Option<String>> {
-        let mut content = lock(&self.content);
+        let mut content = self.content.lock();
         match &*content {
             Content::Read(hash) => return Some(hash.clone()),
             Content::BeingRead => return None,
             Content::NotAsked => {}
         }
         let (known, path) = (Arc::clone(&self.content), self.path.clone());
-        let read = move || *lock(&known) = Content::Read(hash::of_recording(&path).ok());
+        let read = move || *known.lock() = Content::Read(hash::of_recording(&path).ok());
         *content = match Builder::new().name("studio content".to_owned()).spawn(read) {
             Ok(_) => Content::BeingRead,
             Err(_) => Content::Read(None),
@@ -148,17 +145,17 @@ impl Reel {
     }
 
     pub(super) fn indexed(&self) -> Indexed {
-        lock(&self.index.state).clone()
+        self.index.state.lock().clone()
     }
 
     /// The number of the frame with this time.
     pub(super) fn at(&self, stamp_ns: i64) -> Option<usize> {
-        lock(&self.index.state).stamps_ns.iter().position(|ns| *ns == stamp_ns)
+        self.index.state.lock().stamps_ns.iter().position(|ns| *ns == stamp_ns)
     }
 
     /// Frame number `i`, and its colours pixel by pixel.
     pub(super) fn with_pixels(&self, i: usize) -> Result<(Arc<Frame>, Arc<Pixels>), Refusal> {
-        let mut hand = lock(&self.hand);
+        let mut hand = self.hand.lock();
         let frame = hand.frame(self, i)?;
         if let Some((_, pixels)) = hand.pixels.as_ref().filter(|(of, _)| *of == i) {
             return Ok((frame, Arc::clone(pixels)));
@@ -171,7 +168,7 @@ impl Reel {
 
     /// Frame number `i` as JPEG, no wider than `width`.
     pub(super) fn jpeg(&self, i: usize, width: Option<u32>) -> Result<(Arc<Frame>, Vec<u8>), Refusal> {
-        let mut hand = lock(&self.hand);
+        let mut hand = self.hand.lock();
         let frame = hand.frame(self, i)?;
         let jpeg = super::shown::jpeg(&mut hand.to_bgr, &frame.picture, width)?;
         Ok((frame, jpeg))
@@ -196,7 +193,7 @@ impl Index {
             match source.next_frame() {
                 // The first is there already.
                 Ok(Some(_)) if std::mem::take(&mut first) => {}
-                Ok(Some(frame)) => lock(&self.state).stamps_ns.push(frame.stamp.ns),
+                Ok(Some(frame)) => self.state.lock().stamps_ns.push(frame.stamp.ns),
                 Ok(None) => return self.end(None),
                 Err(error) => return self.end(Some(error.to_string())),
             }
@@ -204,7 +201,7 @@ impl Index {
     }
 
     fn end(&self, error: Option<String>) {
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         (state.done, state.error) = (true, error);
     }
 }
@@ -231,14 +228,14 @@ impl ReelState {
         if let Some((_, frame)) = self.kept.iter().find(|(of, _)| *of == i) {
             return Ok(Arc::clone(frame));
         }
-        let count = lock(&reel.index.state).stamps_ns.len();
+        let count = reel.index.state.lock().stamps_ns.len();
         let beyond = || Refusal::wrong(format!("frame {i}: expected one of the {count} that are known so far"));
         if i >= count {
             return Err(beyond());
         }
         if !self.reader.as_ref().is_some_and(|(next, _)| (*next..*next + SEEK_BEYOND).contains(&i)) {
             let (from, from_ns) = {
-                let stamps_ns = &lock(&reel.index.state).stamps_ns;
+                let stamps_ns = &reel.index.state.lock().stamps_ns;
                 let from = seekable(stamps_ns, i.saturating_sub(DECODED_BEFORE));
                 (from.unwrap_or(0), from.and_then(|from| stamps_ns.get(from).copied()))
             };

@@ -12,9 +12,10 @@ use crate::series::Recording;
 use crate::source::{FrameRate, SourceOptions};
 use mcap::records::Record;
 use nalgebra::Point3;
+use parking_lot::Mutex;
 use prost_reflect::DynamicMessage;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::SystemTime;
 
 /// Runs that stay in memory.
@@ -28,7 +29,7 @@ impl Runs {
     /// The run in a folder; read again when its files have changed.
     pub(super) fn get(&self, folder: &Path) -> Result<Arc<Run>, Refusal> {
         // Held while it is read: two requests read it once.
-        let mut runs = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut runs = self.0.lock();
         if let Some(at) = runs.iter().position(|run| run.folder() == folder) {
             let run = runs.remove(at);
             if run.is_current() {

@@ -4,8 +4,9 @@ use super::Refusal;
 use super::places::changed;
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, BoardImage, find_boards};
+use parking_lot::Mutex;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::SystemTime;
 
 /// What is kept at most.
@@ -29,7 +30,7 @@ impl Boards {
     pub(super) fn search(&self, path: &Path, board: &Board, most: usize) -> Result<Arc<Searched>, Refusal> {
         let changed = changed(path);
         let words = board.to_string();
-        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let lock = || self.0.lock();
         let same = |s: &&Arc<Searched>| s.path == path && s.changed == changed && s.board == words && s.most == most;
         if let Some(known) = lock().iter().find(same) {
             return Ok(Arc::clone(known));

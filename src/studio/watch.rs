@@ -8,10 +8,11 @@ use crate::sink::ToBgr;
 use crate::source::times::seconds;
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use nalgebra::Isometry3;
+use parking_lot::Mutex;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Pictures are no wider, pixels, and no more often, however many pages ask.
@@ -165,7 +166,7 @@ impl Watch {
     /// The newest picture, scaled, with the outlines of its bands; nothing when there is none that is newer.
     pub(super) fn picture(&self, asked: &PictureAsked) -> Result<Reply, Refusal> {
         lower_priority();
-        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut made = self.made.lock();
         if made.at.is_none_or(|at| at.elapsed() >= MIN_INTERVAL)
             && let Some((estimate, picture)) = self.latest.picture()
             && (made.at.is_none() || estimate.seq > made.seq)

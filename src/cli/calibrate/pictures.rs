@@ -7,12 +7,12 @@ use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, BoardImage, find_boards};
 use crate::calibrate::bundle::outliers::UsedPicture;
 use crate::source;
+use parking_lot::Mutex;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f64::consts::SQRT_2;
 use std::fmt::{Display, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
 
 /// Corners off by more than this, pixels, and this many σ, are astray.
 const OUTLIER: (f64, f64) = (1.5, 8.0);
@@ -159,7 +159,7 @@ pub(super) fn search(
         .map(|(path, name)| {
             let grey = Grey::load(&path, Rows::AsStored).map_err(Failure::usage)?;
             let images = find_boards(&grey, board, most).map_err(|e| e.to_string());
-            progress.lock().unwrap_or_else(PoisonError::into_inner).one_more();
+            progress.lock().one_more();
             Ok(SearchedPicture { size_px: grey.size_px(), path, name, images })
         })
         .collect()

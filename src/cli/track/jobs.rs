@@ -14,13 +14,14 @@ use super::options::Options;
 use super::{Exit, Failure};
 use crate::archive::{CurrentInputs, Entry, Hashes, RunSummary, Staleness, hash, is_complete, staleness};
 use crate::catch_panic::catch_panic;
+use parking_lot::Mutex;
 use rayon::ThreadPool;
 use std::collections::HashMap;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 /// A recording of the batch.
@@ -189,7 +190,7 @@ impl Common {
         let file = job.entry.rig.clone();
         let key = (file.clone().unwrap_or_else(|| job.entry.recording.clone()), job.options.frame().word());
         let shared = {
-            let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut rigs = self.rigs.lock();
             match file {
                 // The rig of a log is not shared.
                 None => Arc::default(),

@@ -16,12 +16,13 @@ use crate::sink::{SinkError, same_error, settle};
 use mcap::records::{MessageHeader, Metadata, op};
 use mcap::write::NoSeek;
 use mcap::{Attachment, McapError, McapResult, WriteOptions};
+use parking_lot::{Condvar, Mutex};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -119,7 +120,7 @@ impl LogFile {
         };
         let header = MessageHeader { channel_id, sequence, log_time: times.log_ns, publish_time: times.publish_ns };
         self.with_writer(|writer| writer.write_to_known_channel(&header, &message.bytes))?;
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         if state.waiting_since.is_none() {
             state.waiting_since = Some(Instant::now());
             self.shared.changed.notify_one();
@@ -146,7 +147,7 @@ impl LogFile {
 
     /// Passes everything written so far to the system.
     pub(super) fn flush(&mut self) -> Result<(), SinkError> {
-        self.shared.lock().waiting_since = None;
+        self.shared.state.lock().waiting_since = None;
         self.with_writer(Writer::flush)
     }
 
@@ -155,7 +156,7 @@ impl LogFile {
         self.stop_flusher();
         self.with_writer(|writer| writer.finish().map(drop))?;
         // A second call would find the writer gone: it is taken so that nothing can be written after the end.
-        let Some(writer) = self.shared.lock().writer.take() else { return Ok(()) };
+        let Some(writer) = self.shared.state.lock().writer.take() else { return Ok(()) };
         let settled =
             writer.into_inner().into_inner().into_inner().map_err(|e| e.into_error()).and_then(|file| settle(&file));
         settled.map_err(|source| SinkError::io(&self.path, source))
@@ -164,12 +165,12 @@ impl LogFile {
     /// Runs `action` unless the file is lost; after an error it is lost for good, and every later call returns the
     /// error again.
     fn with_writer<T>(&self, action: impl FnOnce(&mut Writer) -> McapResult<T>) -> Result<T, SinkError> {
-        self.shared.lock().run(action).map_err(|source| SinkError::io(&self.path, source))
+        self.shared.state.lock().run(action).map_err(|source| SinkError::io(&self.path, source))
     }
 
     /// From here on nothing is flushed by wall-clock time.
     pub(super) fn stop_flusher(&mut self) {
-        self.shared.lock().closed = true;
+        self.shared.state.lock().closed = true;
         self.shared.changed.notify_one();
         if let Some(flusher) = self.flusher.take()
             && flusher.join().is_err()
@@ -210,25 +211,19 @@ impl Drop for LogFile {
 }
 
 impl Shared {
-    /// The state; a thread that panicked while holding it left it intact, so the log need not be lost.
-    fn lock(&self) -> MutexGuard<'_, OpenFile> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn flush_what_waits(&self) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         while !state.closed {
             let rest = state.waiting_since.map(|since| CHUNK_SPAN.saturating_sub(since.elapsed()));
-            state = match rest {
-                None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+            match rest {
+                None => self.changed.wait(&mut state),
                 Some(Duration::ZERO) => {
                     state.waiting_since = None;
                     // The failure is kept in the state: the caller's next call reports it.
                     let _ = state.run(Writer::flush);
-                    state
                 }
-                Some(rest) => self.changed.wait_timeout(state, rest).unwrap_or_else(PoisonError::into_inner).0,
-            };
+                Some(rest) => drop(self.changed.wait_for(&mut state, rest)),
+            }
         }
     }
 }

@@ -262,8 +262,8 @@ impl FrameSource for Camera {
 mod tests {
     use super::super::super::{Colour, PixelFormat};
     use super::*;
+    use parking_lot::Mutex;
     use std::collections::VecDeque;
-    use std::sync::Mutex;
 
     fn picture() -> Picture {
         Picture::from_planes(2, 2, PixelFormat::Grey, Colour::SRGB, vec![vec![0; 4]]).unwrap()
@@ -309,7 +309,7 @@ mod tests {
         let stop = Arc::new(AtomicBool::new(false));
         let left = Mutex::new(VecDeque::from(connections));
         let open: Open = Box::new(move || {
-            let buffers = left.lock().unwrap().pop_front();
+            let buffers = left.lock().pop_front();
             let gone = || SourceError::Camera { name: "script".to_owned(), reason: "not there".to_owned() };
             let buffers = buffers.ok_or_else(gone)?.into();
             Ok(Box::new(Script { buffers, driver_counts }) as Box<dyn Connection>)

@@ -15,8 +15,9 @@ use aravis::{Aravis, Buffer, BufferStatus, prelude::*};
 use ffmpeg_the_third::codec::Id;
 use ffmpeg_the_third::color::{Range, Space};
 use ffmpeg_the_third::format::Pixel;
+use parking_lot::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
 
 /// Buffers that Aravis may fill ahead: a quarter of a second at 60 Hz.
@@ -199,7 +200,7 @@ impl Drop for Session {
 
 /// Names of each available camera; the first is the one that Aravis opens it by.
 fn listed() -> Vec<Vec<String>> {
-    let aravis = ARAVIS.lock().unwrap_or_else(PoisonError::into_inner);
+    let aravis = ARAVIS.lock();
     let devices = aravis.as_ref().map(Aravis::get_device_list).unwrap_or_default();
     let names = devices.into_iter().map(|d| [d.id, d.physical_id, d.model, d.address]);
     names.map(|names| names.iter().map(|name| name.to_string_lossy().into_owned()).collect()).collect()

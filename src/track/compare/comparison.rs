@@ -18,8 +18,8 @@ use crate::track::model::image_model::ImageModel;
 use crate::track::model::tube_shape::SHAPE;
 use multiversion::multiversion;
 use nalgebra::SMatrix;
+use parking_lot::Mutex;
 use std::ops::Range;
-use std::sync::{Mutex, PoisonError};
 
 /// Residuals beyond this many σ count linearly (Huber).
 const HUBER: f32 = 3.5;
@@ -135,7 +135,7 @@ impl Drop for Comparison {
         if std::thread::panicking() {
             return;
         }
-        let mut spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut spare = SPARE.lock();
         if spare.len() < MAX_SPARE {
             spare.push(std::mem::take(&mut self.memory));
         }
@@ -154,7 +154,7 @@ impl Comparison {
         density: Density,
         margin_px: f64,
     ) -> Result<Self, NoFit> {
-        let spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let spare = SPARE.lock().pop();
         let mut comparison = Self { memory: spare.unwrap_or_default(), scored: false };
         comparison.memory.patch.select(picture, model, shown, density, margin_px)?;
         comparison.memory.prepare();
