@@ -5,7 +5,9 @@ use super::desk::Desk;
 use super::reel::Reel;
 use super::{Refusal, Reply, scene};
 use crate::calibrate::markers::{self, MarkersOptions, Pick, Rectangle, verdict};
+use crate::estimate::MarkerEstimate;
 use crate::rig::{Draft, Rig, View};
+use crate::segment::Separation;
 use crate::source::Window;
 use nalgebra::{Matrix2, Point2};
 use serde::Deserialize;
@@ -215,8 +217,6 @@ pub(super) fn click(desk: &Desk, asked: &Click) -> Result<Reply, Refusal> {
         Ok(found) => found,
         Err(error) => return Ok(Reply::Json(json!({ "view": view, "error": error.to_string() }))),
     };
-    let mut separations: Vec<_> = found.colours.learned.separations.iter().filter(|s| s.marker == 0).collect();
-    separations.sort_by(|a, b| a.d_prime.total_cmp(&b.d_prime));
     let blob = found.blob.as_ref();
     Ok(Reply::Json(json!({
         "view": view,
@@ -231,7 +231,7 @@ pub(super) fn click(desk: &Desk, asked: &Click) -> Result<Reply, Refusal> {
         })),
         "rgb": found.model().map(|model| [model.rgb.x, model.rgb.y, model.rgb.z]),
         "exposure": found.exposure().map(|e| exposure(&e)),
-        "separations": separations.into_iter().take(3).map(|s| separation(&found.colours, s)).collect::<Vec<_>>(),
+        "separations": nearest(&found.colours, 0, 3),
     })))
 }
 
@@ -252,7 +252,14 @@ fn exposure(of: &markers::Exposure) -> Value {
     json!({ "level": of.level, "clipped": of.clipped, "advice": of.advice() })
 }
 
-fn separation(view: &markers::ViewColours, s: &crate::segment::Separation) -> Value {
+/// How a marker's colour is told from those of `count` others in a view, the most similar first.
+fn nearest(view: &markers::ViewColours, marker: usize, count: usize) -> Vec<Value> {
+    let mut separations: Vec<_> = view.learned.separations.iter().filter(|s| s.marker == marker).collect();
+    separations.sort_by(|a, b| a.d_prime.total_cmp(&b.d_prime));
+    separations.into_iter().take(count).map(|s| separation(view, s)).collect()
+}
+
+fn separation(view: &markers::ViewColours, s: &Separation) -> Value {
     json!({
         "other": view.classes.get(s.other),
         "hits": s.hits, "mistaken": s.mistaken, "d_prime": s.d_prime.min(999.0),
@@ -269,35 +276,27 @@ pub(super) fn preview(desk: &Desk, form: &Form) -> Result<Reply, Refusal> {
     let options = MarkersOptions { after_ns: 0, exposure_s: form.exposure_ms.map(|ms| ms * 1e-3) };
     let found = markers::preview(&rig, &picks, &options, &frame, &pixels);
     let teaching = &found.teaching;
-    let views: Vec<Value> = rig
-        .views
-        .iter()
-        .enumerate()
-        .map(|(v, view)| {
-            let colours = teaching.views.get(v);
-            let bands: Vec<Value> = rig.markers.iter().enumerate().map(|(m, marker)| {
-            let seen = found.estimate.as_ref().and_then(|e| e.markers.get(m)?.views.get(v));
-            let mut nearest: Vec<_> =
-                colours.iter().flat_map(|c| c.learned.separations.iter()).filter(|s| s.marker == m).collect();
-            nearest.sort_by(|a, b| a.d_prime.total_cmp(&b.d_prime));
-            let model = colours.and_then(|c| c.learned.models.get(m));
-            json!({
-                "name": marker.name,
-                "located": teaching.located.get(m).and_then(|of| of.get(v)).and_then(Option::as_ref).map(rectangle),
-                "seen": seen.and_then(|seen| seen.as_ref().ok()).map(scene::band),
-                "miss": seen.and_then(|seen| seen.as_ref().err()).map(|miss| miss.plain_words(&names(&rig))),
-                "mask": model.map(|model| markers::mask(&frame.picture, model, reach(view, &rig))),
-                "exposure": colours.and_then(|c| c.exposure.get(m).copied().flatten()).map(|e| exposure(&e)),
-                "separations": colours.map(|c| {
-                    nearest.into_iter().take(4).map(|s| separation(c, s)).collect::<Vec<_>>()
-                }),
-            })
-        }).collect();
-            json!({ "name": view.name, "bands": bands })
+    let band = |m: usize, v: usize, view: &View| {
+        let colours = teaching.views.get(v);
+        let seen = found.estimate.as_ref().and_then(|e| e.markers.get(m)?.views.get(v));
+        let model = colours.and_then(|c| c.learned.models.get(m));
+        json!({
+            "name": rig.markers.get(m).map(|marker| &marker.name),
+            "located": teaching.located.get(m).and_then(|of| of.get(v)).and_then(Option::as_ref).map(rectangle),
+            "seen": seen.and_then(|seen| seen.as_ref().ok()).map(scene::band),
+            "miss": seen.and_then(|seen| seen.as_ref().err()).map(|miss| miss.plain_words(&names(&rig))),
+            "mask": model.map(|model| markers::mask(&frame.picture, model, reach(view, &rig))),
+            "exposure": colours.and_then(|c| c.exposure.get(m).copied().flatten()).map(|e| exposure(&e)),
+            "separations": colours.map(|colours| nearest(colours, m, 4)),
         })
-        .collect();
+    };
+    let views = rig.views.iter().enumerate().map(|(v, view)| {
+        let bands: Vec<Value> = (0..rig.markers.len()).map(|m| band(m, v, view)).collect();
+        json!({ "name": view.name, "bands": bands })
+    });
+    let views: Vec<Value> = views.collect();
     let positions = found.estimate.as_ref().map(|estimate| {
-        let of = |m: &crate::estimate::MarkerEstimate| match &m.position {
+        let of = |m: &MarkerEstimate| match &m.position {
             Ok(position) => json!({ "sd_mm": position.sd_m() * 1e3 }),
             Err(miss) => json!({ "miss": miss.plain_words(&names(&rig)) }),
         };

@@ -7,13 +7,13 @@ use crate::track::assign::Found;
 use crate::track::compare::band_widths::UsualWidths;
 use crate::track::compare::chroma_slip::Seen;
 use crate::track::fit::group_fit::{DISAGREEMENT, Fitted};
-use crate::track::fit::tube_fit::ViewFit;
+use crate::track::fit::tube_fit::{TubeFit, ViewFit};
 use crate::track::judge::light_change::{FirstColours, Noisier};
 use crate::track::memory::at_rest::Stays;
 use crate::track::memory::usual::{LEARNED_SD, Usual};
 use crate::track::model::functions::Encoding;
 use crate::track::model::separation;
-use crate::track::model::stretch::groups;
+use crate::track::model::stretch::{Group, groups};
 use nalgebra::Vector2;
 
 /// Residuals and sizes of a band's blobs may exceed the usual by this many standard deviations, all views together;
@@ -115,6 +115,13 @@ struct Residual {
     rms: f64,
 }
 
+/// How far chroma lies off what the rig says.
+struct Slip {
+    variance_px2: f64,
+    /// What is common to all bands, beyond what they were fitted with, pixels.
+    left_px: Vector2<f64>,
+}
+
 /// What in a view speaks against a fit, in standard deviations but for the excess.
 struct Sign {
     /// Of the residual beyond the usual.
@@ -159,6 +166,20 @@ fn look_alike(signs: &[Sign]) -> bool {
 fn chance(signs: usize) -> f64 {
     let signs = signs as f64;
     signs / 2.0 + 1.8 * (1.25 * signs).sqrt()
+}
+
+/// For each view, the bands of a group with their expected areas over those of their blobs.
+fn sizes(rig: &Rig, found: &Found, group: &Group, views: &[usize], fit: &TubeFit) -> Vec<Vec<(usize, f64)>> {
+    let size = |v: usize, view: &ViewFit, &(marker, arc_m): &(usize, f64)| {
+        let blob = found.assigned[marker].as_ref().ok()?.blobs[v]?;
+        let knot = view.image.at_arc(arc_m);
+        let expected = 2.0 * knot.half_width * knot.scale * rig.markers[marker].length_m;
+        Some((marker, expected / found.blobs[blob].area_px2))
+    };
+    let of_view = |(&v, view): (&usize, &ViewFit)| -> Vec<_> {
+        group.members.iter().filter_map(|member| size(v, view, member)).collect()
+    };
+    views.iter().zip(&fit.views).map(of_view).collect()
 }
 
 /// For each marker, the reference of its stretch where all bands are seen.
@@ -217,75 +238,16 @@ impl Judge {
         found: &Found,
         fitted: &mut [Fitted],
     ) {
-        self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
-        for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
-            fit.views.iter().for_each(|view| self.slip.add(&view.slip.beyond(&self.mean_slip_px)));
-        }
-        let mean_px = self.slip.mean_px();
-        let variance_px2 = self.slip.variance_px2(&mean_px);
-        let left_px = mean_px - self.mean_slip_px;
-        self.mean_slip_px = self.slip.mean_px_in(format);
+        let slip = self.follow_slip(format, fitted);
         self.follow_motion(fitted);
         let residuals: Vec<_> = fitted.iter().map(|fitted| self.residuals(encoding, fitted)).collect();
         let common = self.usual.common(residuals.iter().flatten().map(|one| (one.alike, one.view, one.rms)));
-        let differences = |of_fit: &Vec<Residual>| -> Vec<f64> {
-            of_fit.iter().filter_map(|one| self.usual.difference(one.alike, one.view, one.rms)).collect()
-        };
-        let differences: Vec<_> = residuals.iter().map(differences).collect();
-        if let Some(ln_factor) = self.noisier.lasting(&differences) {
-            self.usual.scale(ln_factor);
-        }
+        self.follow_noise(&residuals);
         for (Fitted { group, views, result, .. }, residuals) in fitted.iter_mut().zip(&residuals) {
             let Ok(fit) = result else { continue };
-            fit.covariance += fit.slip_covariance * variance_px2;
-            // What is common to all bands and was not taken out.
-            let moved = fit.moved_by_slip(&left_px);
-            fit.covariance += moved * moved.transpose();
-            // Views that lastingly disagree do not show one moment, or not what the rig says; chance is 1.
-            let mean = &mut self.disagreement[group.reference];
-            let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);
-            *mean += (now - *mean) / DISAGREEMENT_FRAMES;
-            fit.covariance *= (*mean - 1.0).max(1.0);
-            // Expected areas of the bands over those of their blobs.
-            let missing = |v: usize, view: &ViewFit, &(marker, arc_m): &(usize, f64)| {
-                let blob = found.assigned[marker].as_ref().ok()?.blobs[v]?;
-                let knot = view.image.at_arc(arc_m);
-                let expected = 2.0 * knot.half_width * knot.scale * rig.markers[marker].length_m;
-                Some((marker, expected / found.blobs[blob].area_px2))
-            };
-            let sizes = |(&v, view): (&usize, &ViewFit)| -> Vec<_> {
-                group.members.iter().filter_map(|member| missing(v, view, member)).collect()
-            };
-            let sizes: Vec<Vec<_>> = views.iter().zip(&fit.views).map(sizes).collect();
-            let signs = residuals.iter().zip(&fit.views).zip(&sizes);
-            let signs = signs.map(|((&Residual { alike, view: v, rms }, view), sizes)| {
-                let smaller = sizes.iter().filter_map(|&(marker, size)| {
-                    let beside = usize::from(marker != group.reference);
-                    Some((beside, self.usual_sizes[beside].off_sd(marker, v, size)?))
-                });
-                let smaller: Vec<(usize, f64)> = smaller.collect();
-                // The more bands, the larger is the largest by chance.
-                let of_sizes = smaller.iter().map(|&(beside, off)| off - [0.0, CHANCE_SD][beside]);
-                let of_size = of_sizes.fold(0.0, f64::max).min(MAX_SIZE_TERM);
-                let smaller = smaller.into_iter().map(|(_, off)| off).collect();
-                let half_px = view.image.at_arc(0.0).half_width;
-                let of_widths = group.members.iter().zip(&view.widths).map(|((marker, _), width)| {
-                    (self.usual_widths.unusual_sd(*marker, v, width, half_px) - CHANCE_SD).max(0.0)
-                });
-                let of_widths = of_widths.fold(0.0, f64::max);
-                let of_residual = if alike == group.reference {
-                    self.usual.above(alike, v, rms, common)
-                } else {
-                    self.usual.above_alike(alike, v, rms, common)
-                };
-                Sign {
-                    of_residual,
-                    excess: self.usual.excess(alike, v, rms, common),
-                    of_form: of_size.hypot(of_widths),
-                    smaller,
-                }
-            });
-            let signs: Vec<Sign> = signs.collect();
+            self.widen(group.reference, fit, &slip);
+            let sizes = sizes(rig, found, group, views, fit);
+            let signs = self.signs(group, fit, residuals, &sizes, common);
             let all = sum(signs.iter().map(Sign::whole));
             let changed = self.lenient || self.refusals[group.reference].distrusted > 0;
             let refused = all > MAX_UNUSUAL_SD && !(changed && look_alike(&signs));
@@ -299,30 +261,101 @@ impl Judge {
                 let separation = separation::least(rig, encoding, group, views[i], &view.look.colours);
                 *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
                 self.refusals[group.reference].refused();
-                continue;
-            }
-            if all > MAX_UNUSUAL_SD {
+            } else if all > MAX_UNUSUAL_SD {
                 self.refusals[group.reference].borne();
-                continue;
-            }
-            if !self.refusals[group.reference].accepted() {
-                continue;
-            }
-            for ((Residual { view: v, rms, .. }, view), sizes) in residuals.iter().zip(&fit.views).zip(sizes) {
-                if !self.stays.is_at_rest() {
-                    self.usual.add(group.reference, *v, *rms);
-                }
-                self.first_colours.add((group, *v, view));
-                let half_px = view.image.at_arc(0.0).half_width;
-                for ((marker, _), width) in group.members.iter().zip(&view.widths) {
-                    self.usual_widths.add(*marker, *v, width, half_px);
-                }
-                for (marker, size) in sizes {
-                    self.usual_sizes[usize::from(marker != group.reference)].add(marker, *v, size);
+            } else if self.refusals[group.reference].accepted() {
+                self.learn(group, fit, residuals, sizes);
+                if views.iter().all(|v| self.usual.is_known(group.reference, *v)) {
+                    group.members.iter().for_each(|(marker, _)| self.stretch[*marker] = group.reference);
                 }
             }
-            if views.iter().all(|v| self.usual.is_known(group.reference, *v)) {
-                group.members.iter().for_each(|(marker, _)| self.stretch[*marker] = group.reference);
+        }
+    }
+
+    /// Notes how far chroma lies off in this frame.
+    fn follow_slip(&mut self, format: PixelFormat, fitted: &[Fitted]) -> Slip {
+        self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
+        for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
+            fit.views.iter().for_each(|view| self.slip.add(&view.slip.beyond(&self.mean_slip_px)));
+        }
+        let mean_px = self.slip.mean_px();
+        let slip = Slip { variance_px2: self.slip.variance_px2(&mean_px), left_px: mean_px - self.mean_slip_px };
+        self.mean_slip_px = self.slip.mean_px_in(format);
+        slip
+    }
+
+    /// Notes whether all pictures have become noisier, or less noisy.
+    fn follow_noise(&mut self, residuals: &[Vec<Residual>]) {
+        let differences = |of_fit: &Vec<Residual>| -> Vec<f64> {
+            of_fit.iter().filter_map(|one| self.usual.difference(one.alike, one.view, one.rms)).collect()
+        };
+        let differences: Vec<_> = residuals.iter().map(differences).collect();
+        if let Some(ln_factor) = self.noisier.lasting(&differences) {
+            self.usual.scale(ln_factor);
+        }
+    }
+
+    /// Adds to a fit's covariance what its residuals do not tell.
+    fn widen(&mut self, reference: usize, fit: &mut TubeFit, slip: &Slip) {
+        fit.covariance += fit.slip_covariance * slip.variance_px2;
+        // What is common to all bands and was not taken out.
+        let moved = fit.moved_by_slip(&slip.left_px);
+        fit.covariance += moved * moved.transpose();
+        // Views that lastingly disagree do not show one moment, or not what the rig says; chance is 1.
+        let mean = &mut self.disagreement[reference];
+        let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);
+        *mean += (now - *mean) / DISAGREEMENT_FRAMES;
+        fit.covariance *= (*mean - 1.0).max(1.0);
+    }
+
+    /// What speaks against a fit, in each view.
+    fn signs(
+        &mut self,
+        group: &Group,
+        fit: &TubeFit,
+        residuals: &[Residual],
+        sizes: &[Vec<(usize, f64)>],
+        common: f64,
+    ) -> Vec<Sign> {
+        let sign = |((&Residual { alike, view: v, rms }, view), sizes): ((&Residual, &ViewFit), &Vec<(usize, f64)>)| {
+            let smaller = sizes.iter().filter_map(|&(marker, size)| {
+                let beside = usize::from(marker != group.reference);
+                Some((beside, self.usual_sizes[beside].off_sd(marker, v, size)?))
+            });
+            let smaller: Vec<(usize, f64)> = smaller.collect();
+            // The more bands, the larger is the largest by chance.
+            let of_sizes = smaller.iter().map(|&(beside, off)| off - [0.0, CHANCE_SD][beside]);
+            let of_size = of_sizes.fold(0.0, f64::max).min(MAX_SIZE_TERM);
+            let smaller = smaller.into_iter().map(|(_, off)| off).collect();
+            let half_px = view.image.at_arc(0.0).half_width;
+            let of_widths = group.members.iter().zip(&view.widths).map(|((marker, _), width)| {
+                (self.usual_widths.unusual_sd(*marker, v, width, half_px) - CHANCE_SD).max(0.0)
+            });
+            let of_widths = of_widths.fold(0.0, f64::max);
+            let of_residual = if alike == group.reference {
+                self.usual.above(alike, v, rms, common)
+            } else {
+                self.usual.above_alike(alike, v, rms, common)
+            };
+            let excess = self.usual.excess(alike, v, rms, common);
+            Sign { of_residual, excess, of_form: of_size.hypot(of_widths), smaller }
+        };
+        residuals.iter().zip(&fit.views).zip(sizes).map(sign).collect()
+    }
+
+    /// Learns how the bands of a fit look.
+    fn learn(&mut self, group: &Group, fit: &TubeFit, residuals: &[Residual], sizes: Vec<Vec<(usize, f64)>>) {
+        for ((Residual { view: v, rms, .. }, view), sizes) in residuals.iter().zip(&fit.views).zip(sizes) {
+            if !self.stays.is_at_rest() {
+                self.usual.add(group.reference, *v, *rms);
+            }
+            self.first_colours.add((group, *v, view));
+            let half_px = view.image.at_arc(0.0).half_width;
+            for ((marker, _), width) in group.members.iter().zip(&view.widths) {
+                self.usual_widths.add(*marker, *v, width, half_px);
+            }
+            for (marker, size) in sizes {
+                self.usual_sizes[usize::from(marker != group.reference)].add(marker, *v, size);
             }
         }
     }
