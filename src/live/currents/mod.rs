@@ -22,8 +22,10 @@ mod delays;
 mod followed;
 mod parser;
 mod sample;
+mod senders;
 #[cfg(unix)]
 mod serial;
+mod whole_numbers;
 
 pub(crate) use parser::currents_of;
 

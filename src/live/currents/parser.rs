@@ -6,6 +6,8 @@ use super::bursts::Bursts;
 use super::datagrams::Datagrams;
 use super::delays::Delays;
 use super::sample::{columns, has_decimal_commas, sample};
+use super::senders::Senders;
+use super::whole_numbers::WholeNumbers;
 use super::{POLL_INTERVAL, STOP_POLL_INTERVAL};
 use crate::log::sequence::Sequence;
 use crate::plural::plural;
@@ -13,9 +15,8 @@ use crate::sink::CurrentSample;
 use crate::source::current_columns::{CurrentColumns, TimeColumn};
 use crate::source::host::HostClock;
 use crate::source::times::seconds;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
-use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
@@ -26,8 +27,6 @@ const MAX_SAMPLE_AGE_NS: i64 = 60_000_000_000;
 const MOST_EARLIER: usize = 1000;
 /// How long rows that are already in a table may take to be read when the run ends.
 const LAST_LOOK: Duration = Duration::from_millis(500);
-/// Senders that are counted apart.
-const MAX_SENDERS: usize = 64;
 /// Longest header, bytes.
 const LONGEST_HEADER: u64 = 1 << 16;
 
@@ -66,14 +65,8 @@ pub(super) struct Parser {
     delays: Delays,
     bursts: Bursts,
     sequence: Sequence,
-    /// Lines of whole numbers between commas, before the first with a decimal point.
-    whole_numbers: u64,
-    decimal_points: bool,
-    /// Who has sent datagrams, and how many; who sent the last; whether several computers send, or programs that
-    /// alternate.
-    senders: BTreeMap<SocketAddr, u64>,
-    last_sender: Option<SocketAddr>,
-    in_turn: bool,
+    whole_numbers: WholeNumbers,
+    senders: Senders,
 }
 
 impl Parser {
@@ -98,11 +91,8 @@ impl Parser {
             delays: Delays::default(),
             bursts: Bursts::default(),
             sequence: Sequence::default(),
-            whole_numbers: 0,
-            decimal_points: false,
-            senders: BTreeMap::new(),
-            last_sender: None,
-            in_turn: false,
+            whole_numbers: WholeNumbers::default(),
+            senders: Senders::default(),
         }
     }
 
@@ -121,7 +111,7 @@ impl Parser {
         while !stop.load(Ordering::Relaxed) {
             match from.next(&mut buffer) {
                 Ok(datagram) => {
-                    self.count(datagram.sender);
+                    self.senders.count(datagram.sender, &self.name);
                     self.take_at(datagram.bytes, datagram.arrival_ns);
                 }
                 Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
@@ -132,34 +122,6 @@ impl Parser {
             }
         }
         self.report();
-    }
-
-    /// Counts a datagram. A program may send each from another port; two programs that send alternate.
-    fn count(&mut self, sender: SocketAddr) {
-        let last = self.last_sender.replace(sender);
-        let (name, here, many) = (&self.name, sender.ip(), self.senders.len());
-        let is_new = self.senders.keys().all(|known| known.ip() != here);
-        match self.senders.get_mut(&sender) {
-            Some(datagrams) => {
-                *datagrams += 1;
-                if let Some(other) = last.filter(|other| *other != sender && !self.in_turn) {
-                    self.in_turn = true;
-                    tracing::warn!(
-                        "{name}: currents come from {other} and {sender} alternately: two programs send them"
-                    );
-                }
-            }
-            None if many == MAX_SENDERS => {}
-            None => {
-                match many {
-                    0 => tracing::info!("{name}: currents come from {here}"),
-                    _ if is_new => tracing::warn!("{name}: currents come from {here} too: several computers send them"),
-                    _ => {}
-                }
-                self.in_turn |= is_new && many > 0;
-                self.senders.insert(sender, 1);
-            }
-        }
     }
 
     /// Reads lines; at the end of what there is it waits so long, and reads on. Of a table that is written meanwhile,
@@ -298,7 +260,9 @@ impl Parser {
                 }
                 self.note_order(&sample);
                 self.note_sender(&sample);
-                self.note_whole_numbers(bytes, &sample);
+                if self.columns.is_none() {
+                    self.whole_numbers.take(bytes, &sample, &self.name);
+                }
                 self.send(sample);
             }
             None => {
@@ -372,26 +336,6 @@ impl Parser {
         said.for_each(|said| tracing::warn!("{}: {said}", self.name));
     }
 
-    /// Warns of a line such as `0,4`: two coils, or 0.4 A with a decimal comma.
-    fn note_whole_numbers(&mut self, line: &[u8], sample: &CurrentSample) {
-        if self.columns.is_some() || line.starts_with(b"{") {
-            return;
-        }
-        self.decimal_points |= line.contains(&b'.');
-        let between_commas = line.contains(&b',') && line.iter().all(|byte| b"-+,0123456789\r".contains(byte));
-        if between_commas && !self.decimal_points && sample.current_a.iter().any(|a| *a != 0.0) {
-            self.whole_numbers += 1;
-            if self.whole_numbers == 1 {
-                tracing::warn!(
-                    "{}: `{}` is taken for {} currents in whole amperes; if the comma is a decimal one, write a point",
-                    self.name,
-                    String::from_utf8_lossy(line).trim_end().escape_debug(),
-                    sample.current_a.len()
-                );
-            }
-        }
-    }
-
     fn count_coils(&mut self, coils: usize) {
         let before = *self.coils.get_or_insert(coils);
         if coils == before {
@@ -428,9 +372,8 @@ impl Parser {
                 tracing::warn!("{}: {count} {what}", self.name);
             }
         }
-        if self.in_turn {
-            let each: Vec<String> = self.senders.iter().map(|(who, n)| format!("{n} from {who}")).collect();
-            tracing::warn!("{}: datagrams: {}", self.name, each.join(", "));
+        if let Some(each) = self.senders.report() {
+            tracing::warn!("{}: {each}", self.name);
         }
     }
 
@@ -531,33 +474,6 @@ mod tests {
             parser.take(format!(r#"{{"current_a":[0.1],"host_ns":{host_ns}}}"#).as_bytes());
         }
         assert!(parser.doubts().concat().contains("the time of 1 sample is not later"), "{:?}", parser.doubts());
-    }
-
-    #[test]
-    fn whole_numbers_between_commas_are_doubted_until_there_is_a_decimal_point() {
-        for (lines, expected) in [
-            (["0,4", "0,2"].as_slice(), 2),
-            (&["0,0,0", "0", "1 0", "1, 0"], 0),
-            (&["0.5,0", "1,0"], 0),
-            (&[r#"{"current_a":[1,0]}"#], 0),
-        ] {
-            let (mut parser, _line) = parser(None);
-            lines.iter().for_each(|line| parser.take(line.as_bytes()));
-            assert_eq!(parser.whole_numbers, expected, "{lines:?}");
-        }
-    }
-
-    #[test]
-    fn two_programs_that_send_by_turns_are_told_from_one() {
-        let in_turn = |ports: &[u16]| {
-            let (mut parser, _line) = parser(None);
-            ports.iter().for_each(|port| parser.count(([127, 0, 0, 1], *port).into()));
-            parser.in_turn
-        };
-        assert!(in_turn(&[5000, 5001, 5000]));
-        // One that is started again, and one that takes another port each time.
-        assert!(!in_turn(&[5000, 5000, 5001, 5001]));
-        assert!(!in_turn(&(5000..5200).collect::<Vec<_>>()));
     }
 
     #[test]

@@ -13,6 +13,7 @@ import {
   onPage,
   overPicture,
   say,
+  showSaved,
 } from "./common.js";
 import { Stage } from "./stage.js";
 
@@ -553,20 +554,7 @@ export class Calibrate {
     say("Calibrating …");
     try {
       const done = await ask("board/save", { form: this.form(), out: this.out.value, dry: false });
-      const good = done.told.code === 0;
-      fill(
-        this.result,
-        el("p", { class: good ? "good" : "bad" }, good ? `Saved: ${done.out}` : done.told.error),
-        done.told.warnings.length
-          ? el(
-              "ul",
-              {},
-              done.told.warnings.map((w) => el("li", {}, w)),
-            )
-          : null,
-        done.told.text ? el("pre", {}, done.told.text.trim()) : null,
-      );
-      say(good ? `Saved: ${done.out}` : done.told.error, !good);
+      showSaved(this.result, done);
     } catch (error) {
       fill(this.result, el("p", { class: "bad" }, error.message));
       complain(error);

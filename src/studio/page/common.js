@@ -85,6 +85,22 @@ export function complain(error) {
   if (error.name !== "AbortError") say(error.message, true);
 }
 
+/** Shows what a command that saves came to; `more` goes between its warnings and its text. */
+export function showSaved(place, done, ...more) {
+  const { code, error, warnings, text } = done.told;
+  const good = code === 0;
+  const words = good ? `Saved: ${done.out}` : error;
+  const listed = warnings.map((warning) => el("li", {}, warning));
+  fill(
+    place,
+    el("p", { class: good ? "good" : "bad" }, words),
+    listed.length ? el("ul", {}, listed) : null,
+    ...more,
+    text ? el("pre", {}, text.trim()) : null,
+  );
+  say(words, !good);
+}
+
 /** Colours of markers: over pictures, and on the page. */
 const OVER_PICTURES = ["#f0b928", "#00c896", "#56b4e9", "#e696c3", "#f0e442", "#c8c8ff"];
 export const overPicture = (m) => OVER_PICTURES[m % OVER_PICTURES.length];

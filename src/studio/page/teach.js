@@ -1,6 +1,19 @@
 // Bands taught by clicks.
 
-import { ask, askPicture, choose, complain, el, fill, latest, onPage, overPicture, say, swatch } from "./common.js";
+import {
+  ask,
+  askPicture,
+  choose,
+  complain,
+  el,
+  fill,
+  latest,
+  onPage,
+  overPicture,
+  say,
+  showSaved,
+  swatch,
+} from "./common.js";
 import { Stage, label, outline } from "./stage.js";
 
 const USUAL = [
@@ -967,30 +980,16 @@ export class Teach {
     try {
       const done = await ask("teach/save", { form: this.form(), out: this.out.value, dry: false });
       clearInterval(clock);
-      const good = done.told.code === 0;
-      fill(
+      const next =
+        `Next: catoptra track ${this.recording} --rig ${done.out} ` +
+        `(with --frame camera where the rig has no base frame)`;
+      showSaved(
         this.result,
-        el("p", { class: good ? "good" : "bad" }, good ? `Saved: ${done.out}` : done.told.error),
-        done.told.warnings.length
-          ? el(
-              "ul",
-              {},
-              done.told.warnings.map((w) => el("li", {}, w)),
-            )
-          : null,
-        good
-          ? el(
-              "p",
-              { class: "quiet" },
-              `Next: catoptra track ${this.recording} --rig ${done.out} ` +
-                `(with --frame camera where the rig has no base frame)`,
-            )
-          : null,
+        done,
+        done.told.code === 0 ? el("p", { class: "quiet" }, next) : null,
         done.page ? el("p", { class: "quiet" }, `What was seen, as a page: ${done.page}`) : null,
-        done.told.text ? el("pre", {}, done.told.text.trim()) : null,
       );
       this.result.dataset.code = done.told.code;
-      say(good ? `Saved: ${done.out}` : done.told.error, !good);
     } catch (error) {
       clearInterval(clock);
       fill(this.result, el("p", { class: "bad" }, error.message));
