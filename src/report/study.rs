@@ -20,6 +20,8 @@ use std::path::{Component, Path, PathBuf};
 const MAX_GROUPS: usize = 40;
 /// Most runs listed individually.
 const MAX_LISTED: usize = 2000;
+/// Up to so many runs a plot's axis has a tick at each.
+const FEW_RUNS: usize = 10;
 
 /// The page, which will be in `folder`.
 pub(crate) fn page(
@@ -217,11 +219,11 @@ fn by_run(study: &Study, title: &str, digits: i32, value: impl Fn(&Measured) -> 
         y.push(value);
         names.push(name);
     }
-    let layout = chart::layout()
-        .x_axis(chart::value_axis("run"))
-        .y_axis(chart::value_axis(title))
-        .hover_mode(HoverMode::Closest)
-        .show_legend(false);
+    let runs = chart::value_axis("run");
+    // Few would have ticks at halves.
+    let runs = if study.runs.len() <= FEW_RUNS { runs.dtick(1.0) } else { runs };
+    let layout =
+        chart::layout().x_axis(runs).y_axis(chart::value_axis(title)).hover_mode(HoverMode::Closest).show_legend(false);
     let mut plot = chart::plot(layout);
     plot.add_trace(
         Scatter::new(x, y)

@@ -46,11 +46,12 @@ fn header(info: &RunInfo, tally: &Tally) -> String {
             some => format!("{some} of {} are answered completely", plural(tally.frames, "frame")),
         };
         let lost = match tally.lost {
-            0 => "the camera lost none".to_owned(),
+            0 => "none was lost".to_owned(),
             n if info.of_log => {
                 format!("{} missing in {}: {MISSING_OF_LOG}", are(n, "frame"), plural(tally.gaps, "gap"))
             }
-            n => format!("the camera lost {} more in {}", plural(n, "frame"), plural(tally.gaps, "gap")),
+            1 => "1 more frame was lost".to_owned(),
+            n => format!("{n} more frames were lost in {}", plural(tally.gaps, "gap")),
         };
         let angle = match (tally.theta.range_deg, tally.theta.median_sd_deg()) {
             (Some((low, high)), Some(sd)) => {
@@ -93,7 +94,7 @@ fn key_figures(info: &RunInfo, course: &Course, tally: &Tally) -> String {
         tally.complete < tally.frames,
     );
     let gaps = if tally.lost > 0 { format!("in {}", plural(tally.gaps, "gap")) } else { String::new() };
-    let lost = if info.of_log { "Missing" } else { "Lost by the camera" };
+    let lost = if info.of_log { "Missing" } else { "Lost" };
     card(lost, tally.lost.to_string(), &gaps, tally.lost > 0);
     if course.has_base() {
         let sd = tally.theta.median_sd_deg().map_or("–".to_owned(), |sd| format!("{sd:.3}°"));
@@ -216,7 +217,7 @@ fn missing(info: &RunInfo, course: &Course, tally: &Tally) -> String {
     let mut rows: Vec<Vec<String>> = misses.iter().map(row).collect();
     if tally.lost > 0 {
         let share = share(tally.lost, tally.frames + tally.lost);
-        let why = if info.of_log { MISSING_OF_LOG } else { "lost by the camera" };
+        let why = if info.of_log { MISSING_OF_LOG } else { "lost" };
         rows.push(vec!["whole frames".into(), why.into(), tally.lost.to_string(), share]);
     }
     text += &table(2, &["What", "Why", "Frames", "Share"], &rows);
@@ -226,7 +227,7 @@ fn missing(info: &RunInfo, course: &Course, tally: &Tally) -> String {
     let height = 90 + 30 * (course.reasons.len() as u32 + 1);
     let (lost, grey) = match info.of_log {
         true => ("missing", MISSING_OF_LOG),
-        false => ("lost", "that the camera never delivered"),
+        false => ("lost", "that never arrived"),
     };
     text += &format!(
         "<p>When: one row for each reason. Grey bars are frames {grey}, from the last frame before to the first \
@@ -308,7 +309,8 @@ fn views(course: &Course, tally: &Tally) -> String {
     };
     section(
         "Residuals",
-        "By how many pixels each view disagrees with the common answer of all views (length of the residual).",
+        "By how many pixels each view disagrees with the common answer of all views (length of the residual). Bands \
+         that are fitted together, as coil and tip, have one residual: their points coincide.",
         &(alarms(course, tally) + &each("residual", &|v| figures::residuals(course, v, time))),
         "one marker standing above the others in one view, or residuals that follow the motion: an error of the rig, \
          of the tube's measures or of the refraction. A few high frames are noise or a reflection.",

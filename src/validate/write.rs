@@ -4,8 +4,11 @@ use super::{Run, Validation};
 use crate::source::times::seconds;
 use serde::Serialize;
 use std::fmt::Write as _;
+use std::path::Path;
 
 const MM_PER_M: f64 = 1e3;
+/// The name of every path that `catheter follow` writes.
+const FOLLOWED: &str = "desired.csv";
 
 /// One run, in the units of the table: mm, degrees, ms. Unknown values are absent.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -186,7 +189,10 @@ struct PathPart {
 impl Validation {
     /// Name of the path for tables: its file name without extension.
     pub(crate) fn name(&self) -> String {
-        self.path.file.file_stem().map_or_else(|| "path".to_owned(), |name| name.to_string_lossy().into_owned())
+        let file = &self.path.file;
+        // `catheter follow` calls all its paths so; their folders tell them apart.
+        let named = if file.ends_with(FOLLOWED) { file.parent().and_then(Path::file_name) } else { None };
+        named.or(file.file_stem()).map_or_else(|| "path".to_owned(), |name| name.to_string_lossy().into_owned())
     }
 
     /// `validation.json`.

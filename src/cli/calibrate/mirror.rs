@@ -164,8 +164,8 @@ fn describe(done: &MirrorCalibration) -> String {
     let ([up, side, shift], [up_sd, side_sd, shift_sd]) = (done.moved(), done.sd());
     let [before_px, after_px] = done.disagreement_px;
     let mut text = format!(
-        "{} frames, {} bands seen in two views\nthe views disagree by {before_px:.2} px RMS before, {after_px:.2} px \
-         now\n\n{:<24}   moved         σ\n",
+        "{} frames, {} bands seen in two views\nthe views disagree by {before_px:.2} px RMS with the mirror as it was, \
+         {after_px:.2} px as found\n\n{:<24}   moved         σ\n",
         done.frames, done.bands, done.name
     );
     for (what, angle, sd) in [("turned up or down", up, up_sd), ("turned left or right", side, side_sd)] {

@@ -109,12 +109,12 @@ pub(crate) struct Args {
 
 /// Where a receiver listens.
 fn receiver(text: &str) -> Result<SocketAddr, String> {
-    let found = address(text)?;
+    let found = address(text, "192.168.1.20:5005")?;
     if found.port() == 0 { Err("the port is 0; give the one where the receiver listens".to_owned()) } else { Ok(found) }
 }
 
-fn address(text: &str) -> Result<SocketAddr, String> {
-    let mut found = text.to_socket_addrs().map_err(|e| format!("{e}; write HOST:PORT, such as 192.168.1.20:5005"))?;
+fn address(text: &str, example: &str) -> Result<SocketAddr, String> {
+    let mut found = text.to_socket_addrs().map_err(|e| format!("{e}; write HOST:PORT, such as {example}"))?;
     found.next().ok_or_else(|| "no such host".to_owned())
 }
 
@@ -125,7 +125,7 @@ fn listening(text: &str) -> Result<SocketAddr, String> {
     if let Ok(port) = port.parse::<u16>() {
         return Ok(SocketAddr::from(([127, 0, 0, 1], port)));
     }
-    address(place)
+    address(place, "127.0.0.1:8765")
 }
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {

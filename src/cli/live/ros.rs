@@ -84,6 +84,6 @@ fn published(domain: u16, everywhere: bool, rig: &Rig) -> Result<Box<dyn Sink + 
 
 #[cfg(not(feature = "ros2"))]
 fn published(_: u16, _: bool, _: &Rig) -> Result<Box<dyn Sink + Send>, Failure> {
-    let text = "--ros2: this build knows no ROS 2; build with `cargo build --release --features ros2`";
+    let text = "--ros2: this build knows no ROS 2; install it with `cargo install --locked --path . --features ros2`";
     Err(Failure::usage(text))
 }

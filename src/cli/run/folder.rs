@@ -165,6 +165,9 @@ impl Files {
             for name in ALL.into_iter().filter(|name| *name != RUN) {
                 let path = self.folder.join(name);
                 match fs::remove_file(&path) {
+                    Ok(()) if [OVERLAY, PICTURES_FILE].contains(&name) && !self.all().any(|own| *own == path) => {
+                        tracing::warn!("{}: of an earlier run, and this one makes none: removed", path.display());
+                    }
                     Err(e) if e.kind() != ErrorKind::NotFound => return Err(cannot(&path, e)),
                     _ => {}
                 }

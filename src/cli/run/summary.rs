@@ -135,12 +135,12 @@ fn received(tally: &Tally, of_log: bool) -> String {
         n => format!("{n} frames, {:.3} s to {:.3} s", seconds(tally.first_ns), seconds(tally.last_ns)),
     };
     let lost = match (tally.lost, tally.gaps) {
-        (0, _) => "the camera lost none between them".to_owned(),
+        (0, _) => "none lost between them".to_owned(),
         (lost, gaps) if of_log => {
             format!("{lost} are missing between them in {}: {MISSING_OF_LOG}", plural(gaps, "gap"))
         }
-        (lost, 1) => format!("the camera lost {lost} between them in 1 gap"),
-        (lost, gaps) => format!("the camera lost {lost} between them in {gaps} gaps"),
+        (lost, 1) => format!("{lost} lost between them in 1 gap"),
+        (lost, gaps) => format!("{lost} lost between them in {gaps} gaps"),
     };
     format!("{frames}; {lost}")
 }
@@ -208,8 +208,8 @@ pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
             }
             "repeated" => "camera or recorder show pictures twice: record at the camera's own rate".to_owned(),
             "damaged" => "the recording is damaged: copy it again".to_owned(),
-            "rays_diverge" => "camera, mirror or tank have moved since the calibration, the pictures are mirrored, \
-                turned or scaled, or another thing has its colour"
+            "rays_diverge" => "the rig is that of another recording, camera, mirror or tank have moved since the \
+                calibration, the pictures are mirrored, turned or scaled, or another thing has its colour"
                 .to_owned(),
             "ambiguous" => "other things of its colour are in the views: cover them, or draw the regions \
                 tighter"

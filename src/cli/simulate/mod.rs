@@ -239,10 +239,7 @@ impl Args {
             ))?;
         }
         if done < stamps.len() as u64 {
-            return Err(Failure::new(
-                Exit::Interrupted,
-                format!("interrupted after {done} of {}", plural(stamps.len(), "frame")),
-            ));
+            return Err(Failure::new(Exit::Interrupted, format!("after {done} of {}", plural(stamps.len(), "frame"))));
         }
         Ok(())
     }

@@ -153,6 +153,8 @@ impl Batch<'_> {
                 return with_columns(summary, job);
             }
         }
+        // Shown before each of its warnings: several recordings are tracked at once.
+        let _of = tracing::warn_span!("recording", "{}", job.entry.recording.display()).entered();
         let work = Work::new();
         let attempt = Attempt { job, pool, threads: self.threads, work: &work, hashes, began };
         match (recording, loaded) {

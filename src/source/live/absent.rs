@@ -21,8 +21,8 @@ impl Camera {
         _stop: Arc<AtomicBool>,
     ) -> Result<Self, SourceError> {
         let reason = "this catoptra was built without GenICam cameras; install libaravis-dev and libusb-1.0-0-dev \
-                      (Debian, Ubuntu; elsewhere Aravis 0.8.25 or newer), then build with: cargo build --release \
-                      --features genicam";
+                      (Debian, Ubuntu; elsewhere Aravis 0.8.25 or newer), then install it anew with: cargo install \
+                      --locked --path . --features genicam";
         Err(SourceError::Camera { name: format!("genicam:{id}"), reason: reason.to_owned() })
     }
 }
@@ -35,8 +35,8 @@ impl Camera {
     /// Always: how to build with them.
     pub fn gstreamer(text: &str, _clock: HostClock, _stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
         let reason = "this catoptra was built without GStreamer; install libgstreamer1.0-dev and \
-                      libgstreamer-plugins-base1.0-dev (Debian, Ubuntu; elsewhere GStreamer 1.18 or newer), then build \
-                      with: cargo build --release --features gstreamer";
+                      libgstreamer-plugins-base1.0-dev (Debian, Ubuntu; elsewhere GStreamer 1.18 or newer), then \
+                      install it anew with: cargo install --locked --path . --features gstreamer";
         Err(SourceError::Camera { name: format!("gst:{text}"), reason: reason.to_owned() })
     }
 }

@@ -111,8 +111,8 @@ impl DriftAlarm {
     pub fn advice(&self) -> &'static str {
         match self.what {
             Drifted::Apart => {
-                "mirror, camera or tank have moved since the calibration, or the pictures are mirrored, turned or \
-                 scaled. If it was the mirror, put the rig right with \
+                "the rig is that of another recording, mirror, camera or tank have moved since the calibration, or the \
+                 pictures are mirrored, turned or scaled. If it was the mirror, put the rig right with \
                  `catoptra calibrate mirror --from-markers VIDEO --rig RIG.toml`, and track again"
             }
             Drifted::Views { .. } => {

@@ -92,8 +92,9 @@ pub(super) fn warnings(done: &Teaching) -> Vec<String> {
             let at_end = measure.band.is_some() && measure.band.as_ref() == last.map(|marker| &marker.name);
             let is_straight = done.rig.catheter.end_rounding_m.is_none();
             let rounded = if at_end && is_straight && measure.seen_m < measure.given_m {
-                ", and the tube's end: a rounded one looks shorter than it is, which shifts θ and the band's middle; \
-                 give the length that it seems to have"
+                ", and the tube's end: the last band picked is taken for it, so pick all bands or give --end none if \
+                 the tube goes on; a rounded end looks shorter than it is, which shifts θ and the band's middle: give \
+                 the length that it seems to have"
             } else {
                 ""
             };
