@@ -38,6 +38,16 @@ pub enum LeftOut {
         /// That of the median picture.
         median_px: f64,
     },
+    /// It was taken with another lens.
+    #[error(
+        "its focal length or principal point differs from that of the others, by chance in less than one of {} sets: \
+         is it of another camera, zoom or focus, was it cropped or stabilised, or the board carried?",
+        10_f64.powf((1.0 / .chance).min(1e6).log10().floor())
+    )]
+    OtherLens {
+        /// In how many sets of one lens a picture seems to differ as much.
+        chance: f64,
+    },
     /// It is not sharp.
     #[error(
         "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more \

@@ -5,13 +5,14 @@
 //!
 //! OpenCV's `calibrateCamera` gives the start; the solution and its covariance come from our own bundle adjustment
 //! (OpenCV's standard deviations are wrong in older versions). A picture whose corners fit much worse than those of the
-//! others is left out, with the reason. Sets that do not determine the lens are refused: too few pictures, all boards
-//! parallel.
+//! others, or that was taken with another lens, is left out, with the reason. Sets that do not determine the lens are
+//! refused: too few pictures, all boards parallel.
 //!
 //! Remaining doubts about the lens are among its [`diagnostics`].
 //!
 //! Cannot detect: squares of another size than stated (the lens does not depend on it, distances do).
 
+mod changed;
 pub mod diagnostics;
 pub mod models;
 #[cfg(test)]
@@ -28,6 +29,7 @@ use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::Lens;
 use crate::plural::plural;
+use changed::{Changed, changed};
 use diagnostics::CameraDiagnostic;
 use models::Model;
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2};
@@ -229,8 +231,12 @@ pub fn calibrate_camera(
         let is_open = uneven.is_err();
         let solved = uneven.unwrap_or_else(|_| even.clone());
         let of_pictures = by_picture(&solved, &used);
-        let Some((worst, off)) = worst_picture(&of_pictures) else {
-            let two = two_lenses(board, &solved, &even, &corners, first.size_px);
+        let found = match worst_picture(&of_pictures) {
+            Some(worst) => Lenses::OneBut(worst),
+            None => lenses(board, &solved, &even, &corners, first.size_px),
+        };
+        let Lenses::OneBut((worst, off)) = found else {
+            let two = if let Lenses::Two(two) = found { Some(two) } else { None };
             // An uneven print makes up for two lenses: where there are two, it is not known.
             let (solved, of_pictures) = match two {
                 Some(_) => (even.clone(), by_picture(&even, &used)),
@@ -278,17 +284,30 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
     (used, left_out)
 }
 
-/// Groups of pictures with different lenses, those for which there is most evidence.
-fn two_lenses(
-    board: &Board,
-    solved: &Solution,
-    even: &Solution,
-    corners: &[Corner],
-    size_px: [u32; 2],
-) -> Option<TwoLenses> {
+/// Which lenses pictures were taken with.
+enum Lenses {
+    One,
+    /// One but for a picture, which is to be left out.
+    OneBut((usize, LeftOut)),
+    Two(TwoLenses),
+}
+
+/// That for which there is most evidence.
+fn lenses(board: &Board, solved: &Solution, even: &Solution, corners: &[Corner], size_px: [u32; 2]) -> Lenses {
     let found = [turned(board, solved, even, corners, size_px), in_any_order(solved, even, corners)];
     let most = found.into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, two)| two);
-    most.or_else(|| before_and_after(even, corners))
+    if let Some(turned) = most.as_ref().filter(|two| two.turn.is_some()) {
+        return Lenses::Two(turned.clone());
+    }
+    let changed = changed(even, corners);
+    // With a single picture of another lens, many splits in two seem to have two.
+    let single = changed.as_ref().filter(|changed| changed.is_single);
+    if let Some((picture, chance)) = single.and_then(|single| Some((*single.groups[0].first()?, single.chance))) {
+        return Lenses::OneBut((picture, LeftOut::OtherLens { chance }));
+    }
+    let by_order = changed.map(|Changed { groups, lenses, .. }| TwoLenses { groups, lenses, turn: None });
+    let two = most.or_else(|| before_and_after(even, corners)).or(by_order);
+    two.map_or(Lenses::One, Lenses::Two)
 }
 
 /// Where pictures have two lenses, the one found is neither: its error is about its distance from them.

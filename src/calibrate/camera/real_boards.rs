@@ -157,6 +157,25 @@ fn two_settings_of_focus_are_told_apart() {
     }
 }
 
+/// One picture enlarged: it is left out by name. Unchanged ones are not, in other orders and subsets either.
+#[test]
+fn a_single_picture_of_another_focus_is_left_out() {
+    let board: Board = "9x6:25mm".parse().unwrap();
+    let all = pictures("chess_9x6.csv", [640, 480]);
+    for one in [2, 7] {
+        let found = calibrate_camera(&board, &enlarged(&all, 1.1, &[one]), LensModel::Five).unwrap();
+        let names: Vec<&String> = found.left_out.iter().map(|(name, _)| name).collect();
+        assert_eq!(names, [&format!("enlarged {}", all[one].name)], "{:?}", found.diagnostics);
+    }
+    for (first, step) in [(0, 5), (3, 7)] {
+        let some: Vec<BoardPicture> = (0..10).map(|i| all[(first + step * i) % all.len()].clone()).collect();
+        let found = calibrate_camera(&board, &some, LensModel::Five).unwrap();
+        assert!(found.left_out.is_empty(), "{:?}", found.left_out);
+        let is_two = |d: &CameraDiagnostic| matches!(d, CameraDiagnostic::TwoLenses { .. });
+        assert!(!found.diagnostics.iter().any(is_two), "{:?}", found.diagnostics);
+    }
+}
+
 /// OpenCV's rational lens has no direction for some of the corners of this set.
 #[test]
 fn eight_coefficients_are_found_where_opencv_s_own_fold_within_the_boards() {

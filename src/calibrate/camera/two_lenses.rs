@@ -10,7 +10,8 @@
 //! reported only if they differ by more than their covariances, which include the scatter of one camera's pictures, and
 //! fit the corners better than one. Where they fit no better, because depth makes up for a change of focus or zoom, the
 //! pictures before and after some moments in their order are compared: of so few splits none is chosen to differ, so
-//! that focal lengths or principal points that differ clearly are enough.
+//! that focal lengths or principal points that differ clearly are enough. Single pictures, and those before or after
+//! any moment, are compared in `changed.rs`.
 //!
 //! Both groups have one shape of the board: one for each would make up for another lens. An uneven print makes up for
 //! two lenses too, and two lenses for an uneven print. So the groups are searched with an even print. Then the corners
@@ -71,7 +72,8 @@ pub(super) fn before_and_after(solved: &Solution, corners: &[Corner]) -> Option<
         if off_chi2(&roughly.1)? < MOVED_CHI2 {
             return None;
         }
-        let shape = shared_shape(solved, corners, &roughly)?;
+        let (groups, solutions) = &roughly;
+        let shape = shared_shape(solved, corners, groups, solutions.each_ref().map(|of| of.geometry.lens))?;
         let (groups, solutions) = solved_apart(solved, &shape, corners, &first)?;
         let chi2 = off_chi2(&solutions)?;
         let lenses = solutions.map(|solution| solution.geometry.lens);
@@ -98,7 +100,8 @@ pub(super) fn in_any_order(solved: &Solution, even: &Solution, corners: &[Corner
     let parted: Vec<Split> =
         starts.into_par_iter().filter_map(|start| part(even, &even.shape, corners, start)).collect();
     let best = parted.into_iter().min_by(|a, b| a.left.total_cmp(&b.left))?;
-    let shape = shared_shape(even, corners, &best.apart)?;
+    let (groups, [a, b]) = &best.apart;
+    let shape = shared_shape(even, corners, groups, [a, b].map(|of| of.geometry.lens))?;
     let best = part(even, &shape, corners, best.first)?;
     let (groups, [a, b]) = best.apart;
     let off = DVector::from_iterator(
@@ -204,19 +207,24 @@ fn solved_apart(solved: &Solution, shape: &Shape, corners: &[Corner], first: &[b
 }
 
 /// The board's shape with two lenses: all pictures as the first would have taken them.
-fn shared_shape(solved: &Solution, corners: &[Corner], (groups, [a, b]): &Apart) -> Option<Shape> {
+pub(super) fn shared_shape(
+    solved: &Solution,
+    corners: &[Corner],
+    groups: &[Vec<usize>; 2],
+    [a, b]: [Lens; 2],
+) -> Option<Shape> {
     let all: Vec<usize> = (0..solved.poses.len()).collect();
     let mut bundle = solved.of_pictures(&all, corners);
-    bundle.geometry.lens = a.geometry.lens;
+    bundle.geometry.lens = a;
     for corner in bundle.corners.iter_mut().filter(|corner| groups[1].contains(&corner.picture)) {
-        corner.pixel = a.geometry.lens.distort(&b.geometry.lens.undistort(&corner.pixel)?);
+        corner.pixel = a.distort(&b.undistort(&corner.pixel)?);
     }
     bundle.shape = bundle.shape.that_may_be_uneven();
     Some(bundle.solve().ok()?.shape)
 }
 
 /// The problem of some pictures, with a shape of the board.
-fn of_group(solved: &Solution, shape: &Shape, corners: &[Corner], group: &[usize]) -> Bundle {
+pub(super) fn of_group(solved: &Solution, shape: &Shape, corners: &[Corner], group: &[usize]) -> Bundle {
     let mut own = solved.of_pictures(group, corners);
     own.corners.iter_mut().for_each(|corner| corner.place = shape.place(&corner.place));
     own.shape = Shape::rigid();
