@@ -2,9 +2,11 @@
 //!
 //! In: evenly sampled segments. Out: one row per frequency. Pieces of equal length (Hann window, half overlapping,
 //! mean removed) are averaged over all segments that are long enough. The coherence γ² is the fraction of the output's
-//! power that follows the input; σ of ln|H| and of the phase is √((1−γ²)/(2 γ² K)) with K the number of independent
-//! pieces (Bendat and Piersol, Random Data, 4th ed., section 9.2). It is meaningless where the input has no power, and
-//! biased where the response changes much within one resolution width.
+//! power that follows the input; σ of ln|H| and of the phase is √((1−γ²)/(2 γ² (K−2))) with K the number of independent
+//! pieces. (Bendat and Piersol, Random Data, 4th ed., section 9.2, have K, for many pieces. The response is a regression
+//! over the pieces: the noise is known from what it leaves, with 2 (K−1) degrees of freedom, and the squared error over
+//! that is distributed as F(2, 2K−2), whose mean is (K−1)/(K−2).) With two pieces there is no σ. It is meaningless where
+//! the input has no power, and biased where the response changes much within one resolution width.
 
 use crate::identify::data::excited_band::{excited_hz, output_ends_hz};
 use crate::identify::data::segments::{Segment, bridged};
@@ -30,8 +32,8 @@ pub struct Point {
     pub response: nalgebra::Complex<f64>,
     /// γ², 0 to 1.
     pub coherence: f64,
-    /// σ of ln|H|, and of the phase in radians.
-    pub relative_sd: f64,
+    /// σ of ln|H|, and of the phase in radians; `None` where the pieces are too few to know the noise.
+    pub relative_sd: Option<f64>,
     /// Power of the input, any unit.
     pub input_power: f64,
     /// Power of the output, any unit.
@@ -93,7 +95,7 @@ pub(in crate::identify) fn spectrum(segments: &[Segment], period_s: f64) -> Opti
         return None;
     }
     let resolution_hz = 1.0 / (length as f64 * period_s);
-    let independent = f64::from(pieces) * INDEPENDENT;
+    let known = f64::from(pieces) * INDEPENDENT - 2.0;
     let points = sums.iter().enumerate().skip(1).map(|(k, (uu, yy, uy))| {
         let coherence = (uy.norm_sqr() / (uu * yy)).clamp(0.0, 1.0);
         let response = uy / uu;
@@ -101,7 +103,7 @@ pub(in crate::identify) fn spectrum(segments: &[Segment], period_s: f64) -> Opti
             frequency_hz: k as f64 * resolution_hz,
             response: nalgebra::Complex::new(response.re, response.im),
             coherence,
-            relative_sd: ((1.0 - coherence) / (2.0 * coherence * independent)).sqrt(),
+            relative_sd: (known > 0.0).then(|| ((1.0 - coherence) / (2.0 * coherence * known)).sqrt()),
             input_power: *uu,
             output_power: *yy,
         }
@@ -139,10 +141,40 @@ mod tests {
         let found = spectrum(&[Segment { input, output, from_rest: true, ..Segment::default() }], 0.01).unwrap();
         assert!(found.resolution_hz < 0.1 && found.pieces > 20);
         // ln|H| and phase, in units of their σ: mean square 1.
-        let ratio = |p: &Point| (p.response / model.response(angle(p.frequency_hz, 0.01))).ln() / p.relative_sd;
+        let ratio =
+            |p: &Point| (p.response / model.response(angle(p.frequency_hz, 0.01))).ln() / p.relative_sd.unwrap();
         let inner = &found.points[5..found.points.len() - 5];
         let mean = inner.iter().map(|p| ratio(p).norm_sqr() / 2.0).sum::<f64>() / inner.len() as f64;
         assert!((0.85..1.15).contains(&mean), "{mean}");
+    }
+
+    #[test]
+    fn sigma_of_few_pieces_holds_and_two_have_none() {
+        let model = Polynomials { a: vec![1.0, -0.5], b: vec![1.0], nk: 1 };
+        for pieces in 2..=6 {
+            let samples = (pieces + 1) * SHORTEST / 2;
+            let (mut squares, mut count) = (0.0, 0.0);
+            for seed in 0..300 {
+                let input = noise(2 * seed + 1, samples);
+                let (clean, noisy) = (model.simulate(&input), noise(2 * seed + 2, samples));
+                let output = clean.iter().zip(noisy).map(|(y, e)| y + 0.5 * e).collect();
+                let segment = Segment { output, input, from_rest: true, ..Segment::default() };
+                let found = spectrum(&[segment], 0.01).unwrap();
+                assert_eq!(found.pieces, pieces);
+                for p in found.points.iter().skip(3).step_by(3).take(9) {
+                    let Some(sd) = p.relative_sd else { continue };
+                    let off = (p.response / model.response(angle(p.frequency_hz, 0.01))).ln() / sd;
+                    squares += off.norm_sqr() / 2.0;
+                    count += 1.0;
+                }
+            }
+            // With K in place of K − 2 it is 20, 3.2, 2.1, 1.7, 1.5.
+            assert!(
+                if pieces == 2 { count == 0.0 } else { (0.75..1.25).contains(&(squares / count)) },
+                "{pieces} {}",
+                squares / count
+            );
+        }
     }
 
     #[test]

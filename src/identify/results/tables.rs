@@ -60,9 +60,8 @@ pub(super) fn frequency_response(spectrum: &Spectrum) -> io::Result<Vec<u8>> {
     let phases = crate::identify::model::modelled::unwrapped(points.clone().map(|p| p.response.arg()));
     let rows = points.zip(phases).map(|(p, phase)| {
         let gain = p.response.norm();
-        let numbers =
-            [p.frequency_hz, gain, 20.0 * gain.log10(), phase.to_degrees(), p.coherence, p.relative_sd, p.input_power];
-        numbers.into_iter().map(|v| cell(Some(v))).collect()
+        let response = [p.frequency_hz, gain, 20.0 * gain.log10(), phase.to_degrees(), p.coherence].map(Some);
+        response.into_iter().chain([p.relative_sd, Some(p.input_power)]).map(cell).collect()
     });
     table(&header, rows)
 }

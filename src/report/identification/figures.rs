@@ -7,7 +7,7 @@ use crate::identify::chain::identification::Identification;
 use crate::identify::checks::residuals::Residuals;
 use crate::identify::data::segments::Data;
 use crate::identify::data::segments::Record;
-use crate::identify::data::spectrum::Spectrum;
+use crate::identify::data::spectrum::{Point, Spectrum};
 use crate::identify::model::modelled::{BodePoint, Modelled, Role, unwrapped};
 use crate::identify::model::reproduction::{Kind, output};
 use crate::identify::periodic::Line as SpectralLine;
@@ -254,7 +254,9 @@ fn dots(done: &Shown<'_>) -> Vec<(f64, f64, f64, f64)> {
     let first = points().find(|(_, p)| p.coherence > 0.5);
     let turns = first.map_or(0.0, |(k, p)| turned(p.frequency_hz, followed[k]) - followed[k]);
     let coherent = points().filter(|(_, p)| p.coherence > COHERENT);
-    coherent.map(|(k, p)| (p.frequency_hz, p.response.norm().ln(), followed[k] + turns, p.relative_sd)).collect()
+    // Of too few pieces there are no bars.
+    let sd = |p: &Point| p.relative_sd.unwrap_or_default();
+    coherent.map(|(k, p)| (p.frequency_hz, p.response.norm().ln(), followed[k] + turns, sd(p))).collect()
 }
 
 const DB_OF_LN: f64 = 8.685_889_638_065_037;
