@@ -4,7 +4,7 @@
 //! delay. In: models and their deviances, −2 ln(likelihood) up to a constant.
 
 /// Difference of deviances that noise explains: for one parameter more it is beyond in one record of a thousand.
-const BY_NOISE: f64 = 10.83;
+pub(in crate::identify) const BY_NOISE: f64 = 10.83;
 
 /// A model with a delay.
 pub(in crate::identify) trait Delayed {
