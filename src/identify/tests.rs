@@ -9,6 +9,7 @@ use crate::identify::estimate::arx::fit;
 use crate::identify::estimate::estimated::Estimated;
 use crate::identify::estimate::search::{self, Criterion, best};
 use crate::identify::estimate::{instrumental, output_error};
+use crate::identify::model::modelled::Role;
 use crate::identify::model::polynomials::{Orders, Polynomials, all_pole};
 use crate::identify::model::reproduction::InitialState;
 use crate::identify::reduce::truncation::{Removal, Target};
@@ -148,6 +149,33 @@ pub(crate) fn settings(choice: Choice) -> Settings {
 
 fn records(segment: Segment) -> Vec<Record> {
     vec![Record { name: "record".to_owned(), segments: vec![segment] }]
+}
+
+/// The commands act later than told by a random multiple of σ of their delay, 5 % of a sample.
+#[test]
+fn sigma_of_the_delay_is_in_that_of_the_model() {
+    let choice = || Choice::Fixed(Orders { na: 2, nb: 2, nk: 1 });
+    let mut squares = [[0.0; 4]; 2];
+    for seed in 0..40 {
+        let input = all_pole(&[1.0, -0.8], noise(seed, 1000));
+        let before = |k: usize| k.checked_sub(1).and_then(|k| input.get(k)).copied().unwrap_or_default();
+        let by_delay: Vec<f64> = input.iter().enumerate().map(|(k, u)| 0.05 * (before(k) - u)).collect();
+        let output = truth().simulate(&input).iter().zip(noise(seed + 1000, 1000)).map(|(y, e)| y + 0.1 * e).collect();
+        let off = noise(seed + 2000, 1)[0];
+        let told: Vec<f64> = input.iter().zip(&by_delay).map(|(u, by_delay)| u + off * by_delay).collect();
+        let segment = Segment { input: told, output, by_delay: Some(by_delay), from_rest: true, ..Segment::default() };
+        for (segment, squares) in [segment.clone(), Segment { by_delay: None, ..segment }].into_iter().zip(&mut squares)
+        {
+            let data = Data { period_s: 0.1, training: records(segment), validation: Vec::new() };
+            let done = identify(&data, &Settings { commanded: true, ..settings(choice()) }).unwrap();
+            let refined = done.model(Role::Refined).unwrap();
+            let off = refined.model.parameters() - truth().parameters();
+            let sds = refined.standard_errors().unwrap();
+            squares.iter_mut().zip(off.iter().zip(&sds)).for_each(|(sum, (off, sd))| *sum += (off / sd).powi(2) / 40.0);
+        }
+    }
+    assert!(squares[0].iter().all(|z2| (0.4..1.8).contains(z2)), "{squares:?}");
+    assert!(squares[1].iter().any(|z2| *z2 > 9.0), "{squares:?}");
 }
 
 /// As with milliamperes for amperes.

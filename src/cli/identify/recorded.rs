@@ -10,6 +10,7 @@ use crate::identify::data::grid::{Grid, GridError, Series, cut};
 use crate::identify::data::hold::{FEW_LACKING, Held};
 use crate::identify::data::plant::Plant;
 use crate::identify::data::prepare::{Detrend, Trend};
+use crate::identify::data::segments::Record;
 use crate::identify::estimate::clock_delay::{self, Delay, Drift, Inputs, Timing};
 use crate::identify::estimate::unknown_zero::Zero;
 use crate::identify::results::provenance::RecordSummary;
@@ -63,7 +64,11 @@ pub(super) fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Op
     }
     let lost = series.output.len() - observed.theta_rad.len();
     let missed = observed.theta_rad.iter().filter(|theta| theta.is_none()).count();
-    let (record, grid, bridged) = on_grid(args, &series)?;
+    let (mut record, grid, bridged) = on_grid(args, &series)?;
+    if let (DelayArg::Auto, Some(delay)) = (args.delay, &apparent) {
+        let later = observed.series(&held, plant, delay_s + delay.sd_s).map_err(Failure::usage)?;
+        tell_uncertain_delay(&mut record, &on_grid(args, &later)?.0);
+    }
     let summary = RecordSummary {
         name,
         period_s: if args.resample { args.period.unwrap_or(grid.period_s) } else { grid.period_s },
@@ -133,6 +138,18 @@ fn delay_taken(args: &Args, name: &str, apparent: Option<&Delay>) -> Result<f64,
         (DelayArg::Auto, None) => Err(Failure::usage(format!(
             "{name}: no delay between commands and output could be estimated; give it with --delay"
         ))),
+    }
+}
+
+/// Tells a record what one σ of the delay does to its input. `later`: the same with commands that much later.
+fn tell_uncertain_delay(record: &mut Record, later: &Record) {
+    let later_at = |place: usize| {
+        let later = later.segments.iter().find(|s| (s.first..s.first + s.len()).contains(&place))?;
+        later.input.get(place - later.first).copied()
+    };
+    for segment in &mut record.segments {
+        let places = segment.input.iter().enumerate().map(|(k, input)| (segment.first + k, input));
+        segment.by_delay = Some(places.map(|(place, input)| later_at(place).unwrap_or(*input) - input).collect());
     }
 }
 

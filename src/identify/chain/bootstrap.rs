@@ -2,12 +2,15 @@
 //!
 //! The model's residuals are resampled in blocks, which keep their remaining correlation, and added to the model's
 //! output; then everything is estimated again (Künsch, Annals of Statistics 17, 1989, doi:10.1214/aos/1176347265).
-//! Inputs are unchanged: that an input computed by Eq. 6 would also carry the new noise is neglected.
+//! Inputs are unchanged, but for commands whose delay was estimated: that an input computed by Eq. 6 would also carry
+//! the new noise is neglected.
 
 use crate::identify::data::segments::Segment;
 use crate::identify::estimate::noise_colour::Colour;
 use crate::identify::model::polynomials::{Noise, Polynomials, all_pole};
+use crate::normal::normal;
 use fastrand::Rng;
+use std::collections::BTreeMap;
 
 /// Samples per block at least, and for each that are correlated; as a part of all at most.
 const BLOCK: usize = 32;
@@ -37,7 +40,9 @@ pub(super) fn repeat<T: Send>(
             .zip(clean.iter().zip(&residuals))
             .map(|(s, (clean, left))| redrawn(s, clean, left, block, model, noise, &mut rng))
             .collect();
-        of(&drawn)
+        let mut delays: BTreeMap<usize, f64> = BTreeMap::new();
+        let delayed = |s: Segment| s.delayed(*delays.entry(s.record).or_insert_with(|| normal(&mut rng)));
+        of(&drawn.into_iter().map(delayed).collect::<Vec<_>>())
     };
     (0..count).into_par_iter().filter_map(repetition).collect()
 }

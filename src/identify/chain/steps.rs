@@ -189,6 +189,19 @@ fn identify_held(
     };
     models.iter_mut().filter(is_no_noise).for_each(Modelled::forget_sigma);
     let reduced_differs = reduced_differs(&mut models, excited_hz);
+    // An error of the delay moves the refined model as well: it explains no difference.
+    let (arx, full) = with_delays(&training, (arx, full), settings.estimator);
+    let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
+    if training.iter().any(|segment| segment.by_delay.is_some()) {
+        for model in models.iter_mut().filter(|model| model.covariance.is_some()) {
+            let covariance = match (model.role, &reduced) {
+                (Role::Full, _) => Some(estimated.covariance.clone()),
+                (Role::Reduced, Ok(reduced)) => reduced_covariance(estimated, reduced, how),
+                _ => continue,
+            };
+            *model = modelled(model.role, model.title.clone(), &model.model, covariance);
+        }
+    }
     // 7. uncertainty
     let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());
     let biased =
@@ -276,6 +289,29 @@ fn fit_full(
         others.sort_by(|a, b| value(a).total_cmp(&value(b)));
         others.into_iter().find_map(|candidate| fit(candidate.orders).ok()).ok_or(error)
     })
+}
+
+/// What σ of the delays adds to σ of the full models.
+fn with_delays(
+    training: &[Segment],
+    (arx, full): (Estimated, Option<Refined>),
+    estimator: Estimator,
+) -> (Estimated, Option<Refined>) {
+    let wider = |found: Estimated, estimator: Estimator| {
+        let model = found.model.clone();
+        found.with_delays(training, |delayed| again(delayed, &model, estimator))
+    };
+    let full = full.map(|full| Refined { estimated: wider(full.estimated, estimator), ..full });
+    (wider(arx, Estimator::Arx), full)
+}
+
+/// The full model of other data.
+fn again(training: &[Segment], full: &Polynomials, estimator: Estimator) -> Option<Polynomials> {
+    match estimator {
+        Estimator::Arx => Some(arx::fit(training, full.orders()).ok()?.model),
+        Estimator::OutputError => Some(output_error::nearest(training, full).ok()?.model),
+        Estimator::Instrumental => Some(instrumental::refine(training, full).ok()?.estimated.model),
+    }
 }
 
 /// The full model by another estimator than least squares, if requested.
@@ -432,6 +468,9 @@ fn refine_reduced(
         tried.push(delayed.nk);
         found.extend(again(delayed));
     };
+    let estimated = refined.estimated.clone();
+    let nearest = |delayed: &[Segment]| Some(output_error::nearest(delayed, &estimated.model).ok()?.model);
+    let refined = Refined { estimated: refined.estimated.with_delays(training, nearest), ..refined };
     // A system may answer sooner than was searched.
     let model = &refined.estimated.model;
     let sooner = model.nk.checked_sub(1).filter(|_| delays.iter().all(|nk| *nk >= model.nk));
@@ -460,9 +499,21 @@ fn fit_periods(data: &Data, settings: &Settings, refined: Option<&Refined>) -> R
     let Some(repeats) = settings.repeats else { return Ok(None) };
     let delays = delays(&settings.choice);
     let others: Vec<Polynomials> = refined.iter().map(|r| r.estimated.model.clone()).collect();
-    periodic::fit(&data.training, data.period_s, repeats, settings.target, &delays, &others)
-        .map(Some)
-        .map_err(|problem| IdentifyError::NotPeriodic { problem })
+    let mut found = periodic::fit(&data.training, data.period_s, repeats, settings.target, &delays, &others)
+        .map_err(|problem| IdentifyError::NotPeriodic { problem })?;
+    let model = found.estimated().model.clone();
+    let again = |delayed: &[Segment]| {
+        let own = |k: usize| delayed.iter().filter(|segment| segment.record == k).cloned().collect();
+        let records = data.training.iter().enumerate().map(|(k, r)| Record { segments: own(k), ..r.clone() });
+        let (records, same) = (records.collect::<Vec<_>>(), Target::Order(model.na()));
+        let initial = std::slice::from_ref(&model);
+        Some(
+            periodic::fit(&records, data.period_s, repeats, same, &[model.nk], initial).ok()?.estimated().model.clone(),
+        )
+    };
+    let estimated = found.estimated().clone();
+    found.refined.estimated = estimated.with_delays(&segments_of(&data.training), again);
+    Ok(Some(found))
 }
 
 fn segments_of(records: &[Record]) -> Vec<Segment> {
@@ -572,11 +623,7 @@ fn intervals(
     if let Some(full) = model(Role::Full) {
         let noise = settings.estimator.noise();
         full_draws = repeat(training, &full, noise, settings.bootstrap, |drawn| {
-            let again = match settings.estimator {
-                Estimator::Arx => arx::fit(drawn, full.orders()).ok()?.model,
-                Estimator::OutputError => output_error::nearest(drawn, &full).ok()?.model,
-                Estimator::Instrumental => instrumental::refine(drawn, &full).ok()?.estimated.model,
-            };
+            let again = again(drawn, &full, settings.estimator)?;
             let reduced = reduce(&again, how).ok().map(|r| of(Role::Reduced, &r.model));
             Some((of(Role::Full, &again), reduced))
         });

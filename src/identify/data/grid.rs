@@ -316,6 +316,7 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
             instrument: series.plant.map(|_| drive[from..to].iter().flatten().copied().collect()),
             by_zero: series.fit_zero.then(|| (from..to).filter_map(by_zero_at).collect()),
             zero_drifts: false,
+            by_delay: None,
             record: 0,
             // Before the first drive it was zero; before a missed angle it may have been anything.
             from_rest: segments.is_empty() && drive[..from].iter().all(Option::is_none),

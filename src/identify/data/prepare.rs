@@ -122,6 +122,7 @@ pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record 
             instrument: segment.instrument.as_deref().map(|signal| held(from(signal, skip))),
             by_zero: segment.by_zero.as_deref().map(|signal| held(from(signal, skip))),
             zero_drifts: segment.zero_drifts,
+            by_delay: segment.by_delay.as_deref().map(|signal| held(from(signal, skip))),
             record: segment.record,
             input,
             within: None,

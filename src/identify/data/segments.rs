@@ -29,6 +29,9 @@ pub struct Segment {
     pub by_zero: Option<Vec<f64>>,
     /// Whether that zero may also drift, by a line over the record.
     pub zero_drifts: bool,
+    /// What one σ of the delay that was taken off the commands adds to the input, as long as the input, if that delay
+    /// was estimated.
+    pub by_delay: Option<Vec<f64>>,
     /// Number of its record among those fitted together.
     pub record: usize,
     /// Whether the system was at rest before: true for the first segment of a record.
@@ -51,6 +54,14 @@ impl Segment {
         self.output.iter().filter(|y| !y.is_nan()).count()
     }
 
+    /// The same with commands that act later by so many σ of their delay.
+    pub(crate) fn delayed(&self, sds: f64) -> Self {
+        let mut segment = self.clone();
+        let by_delay = self.by_delay.iter().flatten();
+        segment.input.iter_mut().zip(by_delay).for_each(|(input, by_delay)| *input += sds * by_delay);
+        segment
+    }
+
     /// Its samples `from..to`.
     pub fn part(&self, from: usize, to: usize, period_s: f64) -> Self {
         let to = to.min(self.len());
@@ -64,6 +75,7 @@ impl Segment {
             instrument: self.instrument.as_ref().map(|i| i[from..to].to_vec()),
             by_zero: self.by_zero.as_ref().map(|z| z[from..to].to_vec()),
             zero_drifts: self.zero_drifts,
+            by_delay: self.by_delay.as_ref().map(|d| d[from..to].to_vec()),
             record: self.record,
             from_rest: self.from_rest && from == 0,
         }

@@ -1,7 +1,9 @@
 //! An estimator's result: model, covariance, and course of the search.
 
+use crate::identify::data::segments::Segment;
 use crate::identify::model::covariance::Covariance;
 use crate::identify::model::polynomials::Polynomials;
+use std::collections::BTreeSet;
 
 /// A model with its uncertainty.
 #[derive(Debug, Clone)]
@@ -22,6 +24,25 @@ impl Estimated {
     /// Standard errors of [`Polynomials::parameters`].
     pub fn standard_errors(&self) -> Vec<f64> {
         self.covariance.standard_errors()
+    }
+
+    /// The same, with what σ of each record's delay adds to the covariance. `again` gives the model of other data.
+    ///
+    /// Both parts are independent: with the delay known, noise moves the model by its part along the derivatives by the
+    /// coefficients, and an estimate of the delay together with a model by a part that is orthogonal to these. (Where
+    /// the delay is that of a simpler model, b₁ is better known than this says.)
+    pub(in crate::identify) fn with_delays(
+        self,
+        segments: &[Segment],
+        again: impl Fn(&[Segment]) -> Option<Polynomials>,
+    ) -> Self {
+        let uncertain: BTreeSet<usize> = segments.iter().filter(|s| s.by_delay.is_some()).map(|s| s.record).collect();
+        let moved = |record: &usize| {
+            let delayed = segments.iter().map(|s| s.delayed(f64::from(u8::from(s.record == *record))));
+            Some(again(&delayed.collect::<Vec<_>>())?.parameters() - self.model.parameters())
+        };
+        let moves: Vec<_> = uncertain.iter().filter_map(moved).collect();
+        Self { covariance: self.covariance.and(&moves), ..self }
     }
 }
 

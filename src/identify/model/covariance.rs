@@ -4,7 +4,7 @@
 //! combinations differ by more than eight powers of ten; in the covariance itself the small ones are lost, and with
 //! them the accuracy of the response where the data determine it best.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Step along each direction for numerical derivatives, in standard deviations.
 const STEP: f64 = 0.05;
@@ -22,6 +22,13 @@ impl Covariance {
     /// The covariance F Fᵀ.
     pub fn from_factor(factor: DMatrix<f64>) -> Self {
         Self { factor }
+    }
+
+    /// The same, and independent moves by one standard deviation for other reasons.
+    pub(in crate::identify) fn and(self, moves: &[DVector<f64>]) -> Self {
+        let columns: Vec<_> =
+            self.factor.column_iter().map(|column| column.into_owned()).chain(moves.to_vec()).collect();
+        Self { factor: DMatrix::from_columns(&columns) }
     }
 
     /// The covariance as a matrix.
