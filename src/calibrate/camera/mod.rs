@@ -231,24 +231,26 @@ pub fn calibrate_camera(
         let is_open = uneven.is_err();
         let solved = uneven.unwrap_or_else(|_| even.clone());
         let of_pictures = by_picture(&solved, &used);
-        let found = match worst_picture(&of_pictures) {
-            Some(worst) => Lenses::OneBut(worst),
+        let lenses = match worst_picture(&of_pictures) {
+            Some(worst) => Err(worst),
             None => lenses(board, &solved, &even, &corners, first.size_px),
         };
-        let Lenses::OneBut((worst, off)) = found else {
-            let two = if let Lenses::Two(two) = found { Some(two) } else { None };
-            // An uneven print makes up for two lenses: where there are two, it is not known.
-            let (solved, of_pictures) = match two {
-                Some(_) => (even.clone(), by_picture(&even, &used)),
-                None => (solved, of_pictures),
-            };
-            let mut done = conclude(&solved, of_pictures, left_out, first.size_px)?;
-            if let Some(two) = &two {
-                widen(&mut done, two);
+        let (worst, off) = match lenses {
+            Err(worst) => worst,
+            Ok(two) => {
+                // An uneven print makes up for two lenses: where there are two, it is not known.
+                let (solved, of_pictures) = match two {
+                    Some(_) => (even.clone(), by_picture(&even, &used)),
+                    None => (solved, of_pictures),
+                };
+                let mut done = conclude(&solved, of_pictures, left_out, first.size_px)?;
+                if let Some(two) = &two {
+                    widen(&mut done, two);
+                }
+                done.diagnostics = diagnose(board, &used, &done, &solved, two);
+                done.diagnostics.extend(is_open.then_some(CameraDiagnostic::TakenForEven));
+                return Ok(done);
             }
-            done.diagnostics = diagnose(board, &used, &done, &solved, two);
-            done.diagnostics.extend(is_open.then_some(CameraDiagnostic::TakenForEven));
-            return Ok(done);
         };
         let name = used.remove(worst).name.clone();
         // What was left out because it shows the same is judged in its place.
@@ -284,30 +286,28 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
     (used, left_out)
 }
 
-/// Which lenses pictures were taken with.
-enum Lenses {
-    One,
-    /// One but for a picture, which is to be left out.
-    OneBut((usize, LeftOut)),
-    Two(TwoLenses),
-}
-
-/// That for which there is most evidence.
-fn lenses(board: &Board, solved: &Solution, even: &Solution, corners: &[Corner], size_px: [u32; 2]) -> Lenses {
+/// Groups of pictures with different lenses, those for which there is most evidence; as an error, the one picture that
+/// has another lens, which is to be left out.
+fn lenses(
+    board: &Board,
+    solved: &Solution,
+    even: &Solution,
+    corners: &[Corner],
+    size_px: [u32; 2],
+) -> Result<Option<TwoLenses>, (usize, LeftOut)> {
     let found = [turned(board, solved, even, corners, size_px), in_any_order(solved, even, corners)];
     let most = found.into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, two)| two);
     if let Some(turned) = most.as_ref().filter(|two| two.turn.is_some()) {
-        return Lenses::Two(turned.clone());
+        return Ok(Some(turned.clone()));
     }
     let changed = changed(even, corners);
     // With a single picture of another lens, many splits in two seem to have two.
     let single = changed.as_ref().filter(|changed| changed.is_single);
     if let Some((picture, chance)) = single.and_then(|single| Some((*single.groups[0].first()?, single.chance))) {
-        return Lenses::OneBut((picture, LeftOut::OtherLens { chance }));
+        return Err((picture, LeftOut::OtherLens { chance }));
     }
     let by_order = changed.map(|Changed { groups, lenses, .. }| TwoLenses { groups, lenses, turn: None });
-    let two = most.or_else(|| before_and_after(even, corners)).or(by_order);
-    two.map_or(Lenses::One, Lenses::Two)
+    Ok(most.or_else(|| before_and_after(even, corners)).or(by_order))
 }
 
 /// Where pictures have two lenses, the one found is neither: its error is about its distance from them.
