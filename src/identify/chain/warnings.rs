@@ -97,17 +97,26 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, settings: &Setting
         None => diagnostics.push(Diagnostic::NoSpectrum),
     }
     diagnostics.extend(off_centre(data));
-    // A model that was fitted from the wrong state is bent, and fits each record by another gain.
+    // A model that was fitted from the wrong state is bent, and fits each record by another gain; one that lacks a part
+    // of the response has another gain at each frequency, and so at each time of a chirp.
     let not_at_rest = not_at_rest(data, done);
-    let follows = |told: &&Diagnostic| not_at_rest.is_some() && matches!(told, Diagnostic::Gains { .. });
-    diagnostics.extend(done.wrong_values.iter().filter(|told| !follows(told)).cloned());
-    if doubtful || done.wrong_values.iter().any(|told| !leaves_sigma(told)) {
+    let follows = |told: &&Diagnostic| match told {
+        Diagnostic::Gains { .. } => not_at_rest.is_some() || done.model_error.is_some(),
+        Diagnostic::GainDrift { .. } | Diagnostic::GainChange { .. } => done.model_error.is_some(),
+        _ => false,
+    };
+    let wrong_values: Vec<Diagnostic> = done.wrong_values.iter().filter(|told| !follows(told)).cloned().collect();
+    let is_nonlinear = wrong_values.iter().any(|told| matches!(told, Diagnostic::Nonlinear { .. }));
+    let leaves_no_sigma = doubtful || wrong_values.iter().any(|told| !leaves_sigma(told));
+    diagnostics.extend(wrong_values);
+    if leaves_no_sigma {
         let fitted = done.models.iter().filter(|model| matches!(model.role, Role::Refined | Role::Periodic));
         diagnostics.extend(fitted.map(|model| Diagnostic::OfWrongValues { title: model.title.clone() }));
     }
     diagnostics.extend(not_at_rest);
     diagnostics.extend(against_torque(data, done));
-    if let Some(residuals) = &done.residuals {
+    // What is not linear is in the residuals, and follows the input.
+    if let Some(residuals) = done.residuals.as_ref().filter(|_| !(commanded && is_nonlinear)) {
         let has_instrument = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
         let way = match (commanded, has_instrument) {
             (true, _) => WayBack::Open,

@@ -551,7 +551,7 @@ impl fmt::Display for Diagnostic {
                 f,
                 "{title}: the output seems to come before the input: nk {nk}, less than was searched, explains the \
                  data clearly better. It has no σ. Are input and output a row apart (--nk {nk} then takes them as they \
-                 are), or was the input computed from this output?"
+                 are), was the input computed from this output, or is the order too low (--reduce)?"
             ),
             Self::ModelError { title, error } => write!(f, "{title}: {error}"),
             Self::AtEdge { what, value, option } => write!(
