@@ -149,3 +149,28 @@ fn commands_that_are_lacking_leave_no_sigma() {
     let few = told(folder.path(), &CURRENT);
     assert!(few.contains("24 rows seem to be lacking") && few.contains("has no σ, since what is told"), "{few}");
 }
+
+/// Of a run that was begun before the camera, the system is not taken to be at rest where frames begin.
+#[test]
+fn frames_that_begin_while_it_moves_are_not_taken_to_begin_at_rest() {
+    let folder = tempfile::tempdir().unwrap();
+    record(folder.path(), 0.0, 1, 1.0);
+    let file = folder.path().join("run.csv");
+    let whole = fs::read_to_string(&file).unwrap();
+    let later: Vec<&str> = whole.lines().enumerate().filter(|(k, _)| !(1..600).contains(k)).map(|(_, l)| l).collect();
+    fs::write(&file, later.join("\n")).unwrap();
+    let mut program = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    let args = ["--order", "2", "--nk", "1", "--bootstrap", "0", "-o", "out"];
+    let status = program.current_dir(folder.path()).arg("identify").args(CURRENT).args(args).status().unwrap();
+    assert!(status.success());
+    let model: serde_json::Value =
+        serde_json::from_slice(&fs::read(folder.path().join("out/model.json")).unwrap()).unwrap();
+    let values = |name: &str| -> Vec<f64> {
+        let all = model["refined"]["continuous"][name].as_array().unwrap_or_else(|| panic!("no {name}"));
+        all.iter().map(|v| v.as_f64().unwrap()).collect()
+    };
+    let (found, sd) = (values("den"), values("den_standard_errors"));
+    for ((found, sd), truth) in found.iter().zip(&sd).zip([1.0, 3.6, 36.0]).skip(1) {
+        assert!((found - truth).abs() < 5.0 * sd && *sd < 0.01 * truth, "{found} ± {sd}, {truth}");
+    }
+}

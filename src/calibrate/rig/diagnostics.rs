@@ -30,10 +30,11 @@ const MIN_CORNERS: usize = 6;
 const CORRELATED_ABOVE: f64 = 1.5;
 /// Priors and pictures contradict each other beyond this many standard deviations.
 pub(crate) const CONTRADICTION_SD: f64 = 3.0;
-/// The pictures' information on a value is compared if it is at least this fraction of all information on it. With less
-/// it is not linear where distances are hardly known: a lens that pictures moved by 0.24 of its σ seemed 7 σ off, with a
-/// front wall known to 38 mm.
-const REDUNDANT: f64 = 1e-2;
+/// The pictures' information on a value is compared if it is at least this fraction of all information on it.
+const REDUNDANT: f64 = 1e-3;
+/// The same of a combination of a lens' numbers. With less it is not linear where distances are hardly known: a lens
+/// that pictures moved by 0.24 of its σ seemed 7 σ off, with a front wall known to 38 mm.
+const REDUNDANT_OF_MANY: f64 = 1e-2;
 
 /// A reason.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -181,8 +182,9 @@ pub(crate) fn compared(solution: &Solution, known: &Prior) -> Option<Compared> {
     let one = DMatrix::identity(rows.len(), rows.len());
     let left = (one - &gain * 2.0 + seen(&solution.covariance)).symmetric_eigen();
     let directions = left.eigenvalues.iter().zip(left.eigenvectors.column_iter());
+    let least = if rows.len() == 1 { REDUNDANT } else { REDUNDANT_OF_MANY };
     let (squares, variances): (Vec<f64>, Vec<f64>) = directions
-        .filter(|(variance, _)| **variance > REDUNDANT)
+        .filter(|(variance, _)| **variance > least)
         .map(|(variance, direction)| (direction.dot(&residuals).powi(2) / variance, *variance))
         .unzip();
     // With the variance r of the rest, that of the prior being 1, and the gain K of the prior, the residual's variance

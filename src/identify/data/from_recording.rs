@@ -181,7 +181,9 @@ impl Observed {
     /// When frame times do not rise, or no frame has a current.
     pub(crate) fn series(&self, commands: &Held, plant: Option<Plant>, delay_s: f64) -> Result<Series, RecordedError> {
         let usual = crate::identify::data::grid::usual_interval(&self.name, &self.time_s)?;
-        let mut series = Series { name: self.name.clone(), plant, ..Series::default() };
+        // What acts for less than a frame hardly moves it.
+        let moved_before = self.time_s.first().is_some_and(|first| commands.acted_before(first - delay_s - usual));
+        let mut series = Series { name: self.name.clone(), plant, moved_before, ..Series::default() };
         let mut push = |from: f64, to: f64, theta: Option<f64>| {
             series.time_s.push(from);
             series.drive.push(commands.mean_from_rest(from - delay_s, to - delay_s));

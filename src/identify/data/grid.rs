@@ -50,6 +50,8 @@ pub(crate) struct Series {
     pub plant: Option<Plant>,
     /// Whether the output's zero is to be fitted.
     pub fit_zero: bool,
+    /// Whether something was commanded before the first sample: the system need not be at rest there.
+    pub moved_before: bool,
 }
 
 /// Why times do not form a grid.
@@ -319,7 +321,7 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
             by_delay: None,
             record: 0,
             // Before the first drive it was zero; before a missed angle it may have been anything.
-            from_rest: segments.is_empty() && drive[..from].iter().all(Option::is_none),
+            from_rest: !series.moved_before && segments.is_empty() && drive[..from].iter().all(Option::is_none),
         });
         begin = to;
     }
@@ -428,6 +430,7 @@ pub(crate) fn resample(series: &Series, period_s: Option<f64>) -> Result<Series,
         within: Vec::new(),
         plant: series.plant,
         fit_zero: series.fit_zero,
+        moved_before: series.moved_before,
         time_s,
     })
 }

@@ -149,6 +149,12 @@ impl Held {
         self.value.iter().map(|value| value.abs()).max_by(f64::total_cmp)
     }
 
+    /// Whether anything but zero was commanded before this time: the system need not be at rest then.
+    pub(crate) fn acted_before(&self, t: f64) -> bool {
+        let mut before = self.time_s.iter().zip(&self.value).take_while(|(time, _)| **time < t);
+        before.any(|(_, value)| *value != 0.0)
+    }
+
     /// First and last command, seconds.
     pub(crate) fn span_s(&self) -> Option<(f64, f64)> {
         self.time_s.first().copied().zip(self.time_s.last().copied())
