@@ -33,7 +33,7 @@ pub(crate) struct Row {
     pub frames_missed: usize,
     /// Of these, vetoed by a person.
     pub frames_vetoed: usize,
-    /// Lost by the camera.
+    /// Lost before they were tracked.
     pub frames_lost: u64,
     /// Commands that count.
     pub points: usize,

@@ -137,17 +137,20 @@ fn commands_that_are_lacking_leave_no_sigma() {
     let folder = tempfile::tempdir().unwrap();
     record(folder.path(), 0.0, 1, 1.0);
     let whole = told(folder.path(), &CURRENT);
-    assert!(!whole.contains("is the table complete?") && !whole.contains("since what is told"), "{whole}");
+    assert!(!whole.contains("is the table complete?") && !whole.contains("since the problems reported"), "{whole}");
     let table = fs::read_to_string(folder.path().join("currents.csv")).unwrap();
     let rows: Vec<&str> = table.split_inclusive('\n').collect();
     fs::write(folder.path().join("currents.csv"), rows[..1000].concat() + &rows[1150..].concat()).unwrap();
     let cut = told(folder.path(), &CURRENT);
-    assert!(cut.contains("is the table complete?") && cut.contains("has no σ, since what is told"), "{cut}");
+    assert!(cut.contains("is the table complete?") && cut.contains("has no σ, since the problems reported"), "{cut}");
     // A few holes of a tenth of a second.
     let rest = (0..rows.len()).filter(|row| *row < 500 || row % 500 >= 6).map(|row| rows[row]);
     fs::write(folder.path().join("currents.csv"), rest.collect::<String>()).unwrap();
     let few = told(folder.path(), &CURRENT);
-    assert!(few.contains("24 rows seem to be lacking") && few.contains("has no σ, since what is told"), "{few}");
+    assert!(
+        few.contains("24 rows seem to be lacking") && few.contains("has no σ, since the problems reported"),
+        "{few}"
+    );
 }
 
 /// Of a run that was begun before the camera, the system is not taken to be at rest where frames begin.

@@ -41,7 +41,8 @@ pub enum LeftOut {
     /// It was taken with another lens.
     #[error(
         "its focal length or principal point differs from that of the others, by chance in less than one of {} sets: \
-         is it of another camera, zoom or focus, was it cropped or stabilised, or the board carried?",
+         is it of another camera, zoom or focus, was it cropped or stabilised, or the board carried before a rolling \
+         shutter?",
         10_f64.powf((1.0 / .chance).min(1e6).log10().floor())
     )]
     OtherLens {

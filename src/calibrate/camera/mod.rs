@@ -301,11 +301,20 @@ fn lenses(
         return Ok(Some(turned.clone()));
     }
     let changed = changed(even, corners);
-    // With a single picture of another lens, many splits in two seem to have two.
-    let single = changed.as_ref().filter(|changed| changed.is_single);
-    if let Some((picture, chance)) = single.and_then(|single| Some((*single.groups[0].first()?, single.chance))) {
-        return Err((picture, LeftOut::OtherLens { chance }));
+    // With a single picture of another lens, many splits in two seem to have two: then the others have one.
+    let is_alone = |others: &[usize]| {
+        most.is_none() || {
+            let others = even.of_pictures(others, corners);
+            others.clone().solve().is_ok_and(|solved| in_any_order(&solved, &solved, &others.corners).is_none())
+        }
+    };
+    if let Some(Changed { groups: [single, others], chance, is_single: true, .. }) = &changed
+        && let Some(picture) = single.first()
+        && is_alone(others)
+    {
+        return Err((*picture, LeftOut::OtherLens { chance: *chance }));
     }
+    let changed = changed.filter(|changed| !changed.is_single);
     let by_order = changed.map(|Changed { groups, lenses, .. }| TwoLenses { groups, lenses, turn: None });
     Ok(most.or_else(|| before_and_after(even, corners)).or(by_order))
 }

@@ -168,7 +168,7 @@ fn warn_of_delay(args: &Args, name: &str, apparent: &Delay, taken_s: f64, record
     let Delay { delay_s, sd_s, .. } = apparent;
     if let Some(times) = misfit(recording, apparent).filter(|_| matters) {
         tracing::warn!(
-            "{name}: the delay between commands and output, {:.1} ± {:.1} ms, is that of a model of second order, \
+            "{name}: the delay between commands and output, {:.1} ± {:.1} ms, is that of a simple model, \
              which leaves {times:.0} times σ of θ: it makes up for what the model lacks, and may be off by many \
              times its σ",
             delay_s * 1e3,
@@ -187,7 +187,7 @@ fn warn_of_delay(args: &Args, name: &str, apparent: &Delay, taken_s: f64, record
 /// Tells an error of the zero that σ of θ does not explain.
 fn warn_of_zero(zero: Zero, name: &str) {
     tracing::warn!(
-        "{name}: the zero of θ is off by {:.3} ± {:.3}°, by a model of second order: a wrong base frame, a \
+        "{name}: the zero of θ is off by {:.3} ± {:.3}°, by a simple model: a wrong base frame, a \
          catheter that does not hang straight, or an offset of the currents? It is taken off, which does not help \
          against an offset of the currents; --zero exact leaves θ as it is",
         zero.offset.to_degrees(),
@@ -206,7 +206,7 @@ fn without_drift(args: &Args, source: &str, held: Held, (drift, told): (Drift, b
         (false, false) => "--delay auto would move them by it, if the delay could be told",
     };
     tracing::warn!(
-        "{source}: by a model of second order the clock of the currents seems to run {ppm:.1} ± {sd:.1} ppm fast \
+        "{source}: by a simple model the clock of the currents seems to run {ppm:.1} ± {sd:.1} ppm fast \
          against the camera's, which spoils H(s); {remedy}. Better are currents with the camera's times"
     );
     if fitted { held.drifted(drift.rate, middle_s) } else { held }

@@ -107,23 +107,23 @@ pub(super) fn diagnostics(data: &Data, done: &Identification, settings: &Setting
     };
     let wrong_values: Vec<Diagnostic> = done.wrong_values.iter().filter(|told| !follows(told)).cloned().collect();
     let is_nonlinear = wrong_values.iter().any(|told| matches!(told, Diagnostic::Nonlinear { .. }));
-    let leaves_no_sigma = doubtful || wrong_values.iter().any(|told| !leaves_sigma(told));
     diagnostics.extend(wrong_values);
-    if leaves_no_sigma {
+    if doubtful || done.wrong_values.iter().any(|told| !leaves_sigma(told)) {
         let fitted = done.models.iter().filter(|model| matches!(model.role, Role::Refined | Role::Periodic));
         diagnostics.extend(fitted.map(|model| Diagnostic::OfWrongValues { title: model.title.clone() }));
     }
     diagnostics.extend(not_at_rest);
     diagnostics.extend(against_torque(data, done));
-    // What is not linear is in the residuals, and follows the input.
-    if let Some(residuals) = done.residuals.as_ref().filter(|_| !(commanded && is_nonlinear)) {
+    if let Some(residuals) = &done.residuals {
         let has_instrument = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
         let way = match (commanded, has_instrument) {
             (true, _) => WayBack::Open,
             (false, true) => WayBack::Instrument,
             (false, false) => WayBack::Unknown,
         };
-        diagnostics.extend(correlated(residuals, way));
+        // What is not linear follows the input.
+        let follows = |told: &Diagnostic| commanded && is_nonlinear && !matches!(told, Diagnostic::Coloured { .. });
+        diagnostics.extend(correlated(residuals, way).into_iter().filter(|told| !follows(told)));
     }
     if let Ok(reduced) = &done.reduced
         && let Some(asked) = reduced.asked_for_more

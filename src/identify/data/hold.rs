@@ -16,6 +16,8 @@ const MIN_LACKING: usize = 3;
 const WHOLE: (f64, f64) = (0.1, 0.8);
 /// So few of all commands that are lacking bend no model by much.
 pub(crate) const FEW_LACKING: f64 = 1e-3;
+/// Commands up to this part of the largest are noise of a probe.
+const AT_REST: f64 = 0.01;
 /// Rows come at their times, and not when something changes, if so many of them bring the value before again, or if the
 /// value changes by that many times as much over long times as over usual ones.
 const UNCHANGED_PART: f64 = 0.05;
@@ -149,10 +151,12 @@ impl Held {
         self.value.iter().map(|value| value.abs()).max_by(f64::total_cmp)
     }
 
-    /// Whether anything but zero was commanded before this time: the system need not be at rest then.
+    /// Whether something was commanded before this time, beyond what a probe of the current shows at rest: the system
+    /// need not be at rest then.
     pub(crate) fn acted_before(&self, t: f64) -> bool {
+        let least = AT_REST * self.largest().unwrap_or_default();
         let mut before = self.time_s.iter().zip(&self.value).take_while(|(time, _)| **time < t);
-        before.any(|(_, value)| *value != 0.0)
+        before.any(|(_, value)| value.abs() > least)
     }
 
     /// First and last command, seconds.

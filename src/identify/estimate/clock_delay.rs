@@ -68,6 +68,8 @@ const SAME: f64 = 0.1;
 /// Relative step of a number for the derivatives of a model without a zero; poles of T s closer than this are equal.
 const NUMBER_STEP: f64 = 1e-6;
 const EQUAL_POLES: f64 = 1e-4;
+/// The step of a number that is 0 is that of this one.
+const LEAST_NUMBER: f64 = 1e-100;
 /// Parts of a record that are left out in turn.
 const BLOCKS: usize = 10;
 /// Systematic error of the method, in periods. Simulated over all phases between amplifier and camera: 0.2 % to 0.6 %
@@ -190,7 +192,7 @@ impl Form {
             return Some(DMatrix::identity(numbers.len(), numbers.len()));
         }
         let column = |k: usize| {
-            let step = NUMBER_STEP * numbers.get(k)?.abs();
+            let step = NUMBER_STEP * numbers.get(k)?.abs().max(LEAST_NUMBER);
             let at = |by: f64| {
                 let moved = numbers.iter().enumerate().map(|(i, number)| if i == k { number + by } else { *number });
                 Some(self.model(&moved.collect::<Vec<_>>())?.parameters())
@@ -211,7 +213,9 @@ fn without_zero(a1: f64, a2: f64, sum: f64) -> Option<Polynomials> {
         return None;
     }
     let [p, q] = poles.map(Complex::ln);
-    let left = if (q - p).norm() < EQUAL_POLES { (1.0 - p) * p.exp() } else { (q * p.exp() - p * q.exp()) / (q - p) };
+    let both = (p + q) * 0.5;
+    let are_equal = (q - p).norm() < EQUAL_POLES;
+    let left = if are_equal { (1.0 - both) * both.exp() } else { (q * p.exp() - p * q.exp()) / (q - p) };
     let first = sum * (1.0 - left.re) / (1.0 + a1 + a2);
     Some(Polynomials { a: vec![1.0, a1, a2], b: vec![first, sum - first], nk: 1 })
 }
@@ -336,8 +340,14 @@ pub(crate) fn estimate(
     let is_as_good = |(end, _): &(Lowest<State>, _)| {
         end.cost <= AS_WELL * best.cost && independent * (end.cost / best.cost).ln() <= BY_NOISE
     };
-    let simplest = [first, without_zero].into_iter().find(|found| found.first().is_some_and(is_as_good));
-    if let Some(simplest) = simplest {
+    let simple = [first, without_zero].into_iter().filter(|found| found.first().is_some_and(is_as_good));
+    let simple: Vec<_> = simple.collect();
+    // Whether what is a delay with a model of first order is a second pole is then open.
+    let apart_s = match simple.as_slice() {
+        [one, other] => (delay_of(&one.first()?.0) - delay_of(&other.first()?.0)).abs(),
+        _ => 0.0,
+    };
+    if let Some(simplest) = simple.into_iter().next() {
         as_well = simplest;
     }
     let least = as_well.iter().map(|(end, _)| end.cost).min_by(f64::total_cmp)?;
@@ -357,8 +367,8 @@ pub(crate) fn estimate(
     let of_best = |timing| data(answer.as_ref(), timing);
     let found = Search { period_s, own_clock, segments: &of_best }.uncertainty(&best)?;
     let Uncertainty { of_delay_s, of_drift, zero, samples } = found;
-    let sd_s = of_delay_s.hypot(METHOD_ERROR * period_s).hypot(0.5 * (last_s - first_s));
-    if sd_s > MAX_DELAY * period_s {
+    let sd_s = of_delay_s.hypot(METHOD_ERROR * period_s).hypot(0.5 * (last_s - first_s)).hypot(apart_s);
+    if sd_s.max(taken_s.abs()) > MAX_DELAY * period_s {
         return None;
     }
     // The systematic error may change over the record.

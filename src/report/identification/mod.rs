@@ -432,7 +432,7 @@ fn records_table(provenance: &Provenance) -> String {
     format!(
         "<p>Lost: places on the camera's grid without a frame. Missed: frames without an angle. Late: how much the \
          output is later than the commands say, clocks, amplifier and system together; taken out only when asked \
-         for. Zero off: how much too high θ is, by a model of second order; taken out where it is off by more than \
+         for. Zero off: how much too high θ is, by a simple model; taken out where it is off by more than \
          chance explains.</p>\n{}",
         table(2, &heads, &rows)
     )

@@ -116,7 +116,7 @@ fn header(validation: &Validation) -> String {
     let response = match bandwidth_hz(validation) {
         Some(hz) => format!(" The response falls 3 dB below that of the slowest run at {hz:.2} Hz."),
         None if validation.path.circle.is_none() => {
-            " There is no bandwidth: the path is no circle, so its motion has several frequencies.".to_owned()
+            " There is no bandwidth: the path is not a circle, so its motion has several frequencies.".to_owned()
         }
         None if validation.runs.len() > 1 => {
             " The response does not fall 3 dB below that of the slowest run.".to_owned()

@@ -43,7 +43,7 @@ pub struct Stream {
     late_named: bool,
     /// Whether a clock that was set was told, since the stream last came back.
     restart_named: bool,
-    /// Whether first frames that had waited were told, since then.
+    /// Whether first frames that had waited were told, since the clock last began anew.
     waited_named: bool,
     /// Of a stream without times.
     arrivals: Arrivals,
@@ -200,6 +200,7 @@ impl FrameSource for Stream {
                             // Stamps of two clocks do not tell what was lost between them.
                             frame.gap = 0;
                             self.fit.begin_anew();
+                            self.waited_named = false;
                         } else if let Some(mut stamps) = before {
                             let lost = stamps.gap(frame.stamp.ns, self.seq, &mut self.past);
                             frame.gap = frame.gap.saturating_add(lost);
@@ -229,7 +230,7 @@ impl FrameSource for Stream {
                 self.before.get_or_insert(stamps);
             }
             self.past.interruptions += 1;
-            (self.restart_named, self.waited_named) = (false, false);
+            self.restart_named = false;
             self.of_run.interrupt();
             self.arrivals = Arrivals::new(&self.name);
         }

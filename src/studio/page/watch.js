@@ -289,7 +289,7 @@ export class Watch {
     const figures = [
       [status.frames, "frames"],
       [`${status.rate} / s`, "in the last second"],
-      [status.lost, "lost by the camera"],
+      [status.lost, "lost"],
       [status.skipped, "passed over"],
       [ms(status.p50_ms), "arrival to θ, median of the last second"],
       [ms(status.p99_ms), "99 of 100 within, last second"],
