@@ -134,8 +134,10 @@ const MEASURED_MM: &str = "measured_mm";
 /// Notes where the places of the `learned` bands are from; `before` is the rig with those that were given.
 pub(super) fn note_places(table: &mut toml::Table, before: &Rig, learned: &Rig) {
     let measured = before.markers.iter().zip(&learned.markers).filter(|(before, _)| before.centre_m.is_none());
+    // With the file's digits.
+    let mm = |centre_m: f64| toml::Value::from((centre_m * 1e12).round() / 1e9);
     let measured: toml::Table =
-        measured.filter_map(|(_, learned)| Some((learned.name.clone(), (learned.centre_m? * 1e3).into()))).collect();
+        measured.filter_map(|(_, learned)| Some((learned.name.clone(), mm(learned.centre_m?)))).collect();
     let places = match before.markers.iter().filter(|marker| marker.centre_m.is_some()).count() {
         0 => MEASURED,
         given if given == before.markers.len() => GIVEN,
