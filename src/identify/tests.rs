@@ -163,7 +163,7 @@ fn sigma_of_the_delay_is_in_that_of_the_model() {
         let told: Vec<f64> = input.iter().zip(&by_delay).map(|(u, by_delay)| u + off * by_delay).collect();
         let segment = Segment { input: told, output, by_delay: Some(by_delay), from_rest: true, ..Segment::default() };
         let without = output_error::refine(std::slice::from_ref(&segment), &truth()).unwrap().estimated;
-        let again = |delayed: &[Segment]| Some(output_error::nearest(delayed, &without.model).ok()?.model);
+        let again = |delayed: &[Segment], model: &Polynomials| Some(output_error::nearest(delayed, model).ok()?.model);
         let with = without.clone().with_delays(&[segment], again);
         for (found, squares) in [with, without].iter().zip(&mut squares) {
             let off = found.model.parameters() - truth().parameters();

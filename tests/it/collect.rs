@@ -30,7 +30,8 @@ fn all_frames_and_all_runs_are_in_the_tables_with_the_columns_of_the_manifest() 
     let [rest, circle] = ["rest.mkv", "circle.mkv"].map(sample);
     fs::write(place.path("bad.mkv"), "no video").unwrap();
     let manifest = format!(
-        "recording,site,frames,options\n{},north,of spring,--to 0.02\n{},south,,--from 0.1 --to 0.13\nbad.mkv,south,,\n",
+        "recording,site,frames,options\n{},north,of spring,--to 0.02\n{},south,,--from 0.1 --to 0.13\n\
+         bad.mkv,south,,\n",
         rest.display(),
         circle.display()
     );

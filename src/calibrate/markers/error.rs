@@ -139,8 +139,8 @@ pub enum MarkersError {
     },
     /// The band is not found in another view, or found elsewhere.
     #[error(
-        "`{name}` was picked at {x},{y} but cannot be measured in that frame: {reason}; was the band itself clicked, and \
-         not the tube beside it?"
+        "`{name}` was picked at {x},{y} but cannot be measured in that frame: {reason}; was the band itself clicked, \
+         and not the tube beside it?"
     )]
     NotMeasured {
         /// Marker.

@@ -23,7 +23,8 @@ pub(super) struct BaseArgs {
     #[arg(long, value_name = "VIDEO|DIR", conflicts_with = "b0")]
     planar: Option<PathBuf>,
     /// Sign of θ in the first deflection (beyond 3°) of the swing: pictures do not show it
-    #[arg(long, value_enum, value_name = "SIGN", default_value_t = Sign::Positive, requires = "planar", conflicts_with = "b0")]
+    #[arg(long, value_enum, value_name = "SIGN", default_value_t = Sign::Positive)]
+    #[arg(requires = "planar", conflicts_with = "b0")]
     first: Sign,
     /// Direction of B0 in the camera frame (x right, y down, z forward), any length [default: --planar, or that of the
     /// rig]

@@ -60,7 +60,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "HOST:PORT", value_parser = receiver)]
     udp: Option<SocketAddr>,
     /// Serve the log's topics to Foxglove [default: ws://127.0.0.1:8765]
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", value_parser = listening)]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
+    #[arg(value_parser = listening)]
     publish: Option<SocketAddr>,
     /// Show the run in the browser [default: 127.0.0.1, a free port]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:0")]

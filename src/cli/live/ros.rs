@@ -16,7 +16,8 @@ const DOMAIN_VARIABLE: &str = "ROS_DOMAIN_ID";
 #[derive(Debug, clap::Args)]
 pub(super) struct RosArgs {
     /// Publish to ROS 2: local (this computer) or network [default: local]
-    #[arg(long, value_enum, value_name = "WHERE", num_args = 0..=1, default_missing_value = "local", hide_possible_values = true)]
+    #[arg(long, value_enum, value_name = "WHERE", num_args = 0..=1, default_missing_value = "local")]
+    #[arg(hide_possible_values = true)]
     ros2: Option<NetworkScope>,
     /// ROS 2: the domain [default: ROS_DOMAIN_ID, or 0]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<u16>::new().range(0..=LAST_DOMAIN))]

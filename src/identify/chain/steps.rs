@@ -298,15 +298,14 @@ fn with_delays(
     estimator: Estimator,
 ) -> (Estimated, Option<Refined>) {
     let wider = |found: Estimated, estimator: Estimator| {
-        let model = found.model.clone();
-        found.with_delays(training, |delayed| again(delayed, &model, estimator))
+        found.with_delays(training, |delayed, model| refitted(delayed, model, estimator))
     };
     let full = full.map(|full| Refined { estimated: wider(full.estimated, estimator), ..full });
     (wider(arx, Estimator::Arx), full)
 }
 
-/// The full model of other data.
-fn again(training: &[Segment], full: &Polynomials, estimator: Estimator) -> Option<Polynomials> {
+/// The same model of other data.
+fn refitted(training: &[Segment], full: &Polynomials, estimator: Estimator) -> Option<Polynomials> {
     match estimator {
         Estimator::Arx => Some(arx::fit(training, full.orders()).ok()?.model),
         Estimator::OutputError => Some(output_error::nearest(training, full).ok()?.model),
@@ -468,8 +467,7 @@ fn refine_reduced(
         tried.push(delayed.nk);
         found.extend(again(delayed));
     };
-    let estimated = refined.estimated.clone();
-    let nearest = |delayed: &[Segment]| Some(output_error::nearest(delayed, &estimated.model).ok()?.model);
+    let nearest = |delayed: &[Segment], model: &Polynomials| refitted(delayed, model, Estimator::OutputError);
     let refined = Refined { estimated: refined.estimated.with_delays(training, nearest), ..refined };
     // A system may answer sooner than was searched.
     let model = &refined.estimated.model;
@@ -501,12 +499,11 @@ fn fit_periods(data: &Data, settings: &Settings, refined: Option<&Refined>) -> R
     let others: Vec<Polynomials> = refined.iter().map(|r| r.estimated.model.clone()).collect();
     let mut found = periodic::fit(&data.training, data.period_s, repeats, settings.target, &delays, &others)
         .map_err(|problem| IdentifyError::NotPeriodic { problem })?;
-    let model = found.estimated().model.clone();
-    let again = |delayed: &[Segment]| {
+    let again = |delayed: &[Segment], model: &Polynomials| {
         let own = |k: usize| delayed.iter().filter(|segment| segment.record == k).cloned().collect();
         let records = data.training.iter().enumerate().map(|(k, r)| Record { segments: own(k), ..r.clone() });
         let (records, same) = (records.collect::<Vec<_>>(), Target::Order(model.na()));
-        let initial = std::slice::from_ref(&model);
+        let initial = std::slice::from_ref(model);
         Some(
             periodic::fit(&records, data.period_s, repeats, same, &[model.nk], initial).ok()?.estimated().model.clone(),
         )
@@ -623,7 +620,7 @@ fn intervals(
     if let Some(full) = model(Role::Full) {
         let noise = settings.estimator.noise();
         full_draws = repeat(training, &full, noise, settings.bootstrap, |drawn| {
-            let again = again(drawn, &full, settings.estimator)?;
+            let again = refitted(drawn, &full, settings.estimator)?;
             let reduced = reduce(&again, how).ok().map(|r| of(Role::Reduced, &r.model));
             Some((of(Role::Full, &again), reduced))
         });

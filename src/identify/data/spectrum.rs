@@ -3,10 +3,10 @@
 //! In: evenly sampled segments. Out: one row per frequency. Pieces of equal length (Hann window, half overlapping,
 //! mean removed) are averaged over all segments that are long enough. The coherence γ² is the fraction of the output's
 //! power that follows the input; σ of ln|H| and of the phase is √((1−γ²)/(2 γ² (K−2))) with K the number of independent
-//! pieces. (Bendat and Piersol, Random Data, 4th ed., section 9.2, have K, for many pieces. The response is a regression
-//! over the pieces: the noise is known from what it leaves, with 2 (K−1) degrees of freedom, and the squared error over
-//! that is distributed as F(2, 2K−2), whose mean is (K−1)/(K−2).) With two pieces there is no σ. It is meaningless where
-//! the input has no power, and biased where the response changes much within one resolution width.
+//! pieces. (Bendat and Piersol, Random Data, 4th ed., section 9.2, have K, for many pieces. The response is a
+//! regression over the pieces: the noise is known from what it leaves, with 2 (K−1) degrees of freedom, and the squared
+//! error over that is distributed as F(2, 2K−2), whose mean is (K−1)/(K−2).) With two pieces there is no σ. It is
+//! meaningless where the input has no power, and biased where the response changes much within one resolution width.
 
 use crate::identify::data::excited_band::{excited_hz, output_ends_hz};
 use crate::identify::data::segments::{Segment, bridged};

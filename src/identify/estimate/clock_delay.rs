@@ -15,8 +15,9 @@
 //! To first order a zero of H(s) is a delay. Sampled, a pendulum has its zero near z = −1, and there the gain |1 + c/z|
 //! hardly depends on c, and is the same for c and 1/c: with a free zero the sum of squares has two minima of the same
 //! depth, some milliseconds before and after the true delay, or a flat one. Therefore each minimum is searched again
-//! with models without a zero, H(s) = b₀ / (s² + a₁ s + a₂), and of first order, of which a fast second pole is a delay.
-//! The simplest that explains the record as well is taken: a zero or a pole that only acts like a delay counts as one.
+//! with models without a zero, H(s) = b₀ / (s² + a₁ s + a₂), and of first order, of which a fast second pole is a
+//! delay. The simplest that explains the record as well is taken: a zero that only acts like a delay counts as one. So
+//! does a pole, and where a second pole does as well, σ contains how far the two delays are apart.
 //!
 //! σ holds for residuals of any colour (see `noise_colour`), and where parts of the record contradict each other. The
 //! possible shift of the delay from averaging the current between frames is added in quadrature.

@@ -26,7 +26,8 @@ impl Estimated {
         self.covariance.standard_errors()
     }
 
-    /// The same, with what σ of each record's delay adds to the covariance. `again` gives the model of other data.
+    /// The same, with what σ of each record's delay adds to the covariance. `again` gives the model of other data, near
+    /// this one.
     ///
     /// Both parts are independent: with the delay known, noise moves the model by its part along the derivatives by the
     /// coefficients, and an estimate of the delay together with a model by a part that is orthogonal to these. (Where
@@ -34,12 +35,12 @@ impl Estimated {
     pub(in crate::identify) fn with_delays(
         self,
         segments: &[Segment],
-        again: impl Fn(&[Segment]) -> Option<Polynomials>,
+        again: impl Fn(&[Segment], &Polynomials) -> Option<Polynomials>,
     ) -> Self {
         let uncertain: BTreeSet<usize> = segments.iter().filter(|s| s.by_delay.is_some()).map(|s| s.record).collect();
         let moved = |record: &usize| {
             let delayed = segments.iter().map(|s| s.delayed(f64::from(u8::from(s.record == *record))));
-            Some(again(&delayed.collect::<Vec<_>>())?.parameters() - self.model.parameters())
+            Some(again(&delayed.collect::<Vec<_>>(), &self.model)?.parameters() - self.model.parameters())
         };
         let moves: Vec<_> = uncertain.iter().filter_map(moved).collect();
         Self { covariance: self.covariance.and(&moves), ..self }

@@ -64,7 +64,8 @@ impl Planes {
     /// # Errors
     /// None in practice: it is written to memory.
     pub(crate) fn response_csv(&self, coils: &[String]) -> io::Result<Vec<u8>> {
-        let header = "frequency_hz,coil,angle,full_deg_a,full_phase_deg,reduced_deg_a,reduced_phase_deg";
+        let of_models = ["full_deg_a", "full_phase_deg", "reduced_deg_a", "reduced_phase_deg"];
+        let header = texts(&[&["frequency_hz", "coil", "angle"][..], &of_models].concat());
         let mut rows = Vec::new();
         for frequency_hz in self.frequencies_hz() {
             let of = |system: &System| system.response(TAU * frequency_hz * self.period_s);
@@ -79,7 +80,7 @@ impl Planes {
                 }
             }
         }
-        table(&texts(&header.split(',').collect::<Vec<_>>()), rows.into_iter())
+        table(&header, rows.into_iter())
     }
 
     /// `signals.csv`: measured and simulated angles of all records.

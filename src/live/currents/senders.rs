@@ -1,7 +1,7 @@
 //! Who sends datagrams of currents: one program, or several.
 //!
-//! A program may send each datagram from another port. Several computers that send, and two programs that send by turns,
-//! are told.
+//! A program may send each datagram from another port. Several computers that send, and two programs that send by
+//! turns, are told.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;

@@ -153,21 +153,23 @@ const LEARNED_EXPOSURE_MS: &str = "learned_exposure_ms";
 fn stated_exposure_s(rig: &Rig) -> Option<f64> {
     let learned = rig.provenance.get("markers");
     let from = learned.and_then(|noted| noted.get(EXPOSURE_FROM)?.as_str());
-    let is_another =
-        |noted: &toml::Value| !rig.camera.exposure_s.is_some_and(|exposure_s| is_noted(Some(noted), exposure_s * 1e3));
+    let exposure_s = rig.camera.exposure_s?;
     // One that was not known then, or was another, was stated since.
     let is_stated = match (learned, from) {
         (None, _) | (_, Some(STATED | NOT_KNOWN)) => true,
-        (Some(learned), _) => learned.get(LEARNED_EXPOSURE_MS).is_some_and(is_another),
+        (Some(learned), _) => {
+            let noted = learned.get(LEARNED_EXPOSURE_MS);
+            noted.is_some() && !is_noted(noted, exposure_s * 1e3)
+        }
     };
-    if let Some(exposure_s) = rig.camera.exposure_s.filter(|_| !is_stated && from.is_none()) {
+    if !is_stated && from.is_none() {
         tracing::warn!(
             "the rig's exposure of {} ms may have been stated or learned: it is learned again, unless \
              --exposure states it",
             exposure_s * 1e3
         );
     }
-    rig.camera.exposure_s.filter(|_| is_stated)
+    is_stated.then_some(exposure_s)
 }
 
 fn provenance(args: &MarkersArgs, done: &Teaching, before: &Rig, exposure_is_stated: bool) -> toml::Table {

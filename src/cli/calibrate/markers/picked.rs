@@ -69,7 +69,7 @@ pub(in super::super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failur
     let old = std::mem::take(&mut draft.markers);
     let centre_m = |name: &str| {
         let centre_m = old.iter().find(|m| m.name == name).and_then(|m| m.centre_m);
-        centre_m.filter(|centre_m| is_given(&draft, name, *centre_m))
+        centre_m.filter(|centre_m| is_given(&draft.provenance, name, *centre_m))
     };
     let marker = |&(name, length_m): &(&str, f64)| Marker {
         name: name.to_owned(),
@@ -78,8 +78,7 @@ pub(in super::super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failur
         colours: Vec::new(),
         usual_residuals: Vec::new(),
     };
-    let markers = bands.iter().map(marker).collect();
-    draft.markers = markers;
+    draft.markers = bands.iter().map(marker).collect();
     draft.catheter = Some(catheter);
     let checked = draft.checked(&args.rig);
     Ok(checked
@@ -114,8 +113,8 @@ fn bands(args: &MarkersArgs) -> Result<Vec<(&str, f64)>, Failure> {
 }
 
 /// Whether a band's place along the tube in the file was given by hand, not measured there by an earlier run.
-fn is_given(draft: &Draft, name: &str, centre_m: f64) -> bool {
-    let Some(noted) = draft.provenance.get("markers") else { return true };
+fn is_given(provenance: &toml::Table, name: &str, centre_m: f64) -> bool {
+    let Some(noted) = provenance.get("markers") else { return true };
     match noted.get(MEASURED_MM) {
         Some(measured) => !is_noted(measured.get(name), centre_m * 1e3),
         // Files of older versions do not say which.
