@@ -4,7 +4,9 @@
 
 The types are made from the definitions in a log of profile ros2. Uses the loopback interface only. Prints `matched`
 when every topic has its publisher; ends when its standard input does, and then prints one line of JSON: the messages of
-each topic in order of arrival. With --send-currents it publishes currents on /amplifier/joint_states meanwhile.
+each topic in order of arrival. With --send-currents it publishes currents on /amplifier/joint_states, as soon as every
+topic but theirs has been heard: a publisher drops what it has before it knows a subscriber, and when it does only its
+messages tell.
 """
 
 import json
@@ -33,6 +35,7 @@ BASE = {"bool": bool, "byte": types.byte, "uint8": types.uint8, "int32": types.i
         "float32": types.float32, "float64": types.float64, "string": str}
 RULE = "=" * 80 + "\n"
 KEPT = "/tf_static"
+CURRENTS = "/coil/joint_states"
 ASKED = {"/tf", "/catheter/markers", "/diagnostics", KEPT}
 
 
@@ -105,14 +108,15 @@ def main():
         ids = entity.get_matched_subscriptions() if publisher else entity.get_matched_publications()
         return len(ids) > 0
 
-    told, count, last = False, 0, 0.0
+    told, sends, count, last = False, False, 0, 0.0
     while True:
         if not told and all(matched(reader, False) for reader in readers.values()) \
                 and (writer is None or matched(writer, True)):
             print("matched", flush=True)
             told = True
         take()
-        if writer is not None and told and time.monotonic() - last > 0.05:
+        sends = sends or all(got for topic, got in received.items() if topic != CURRENTS)
+        if writer is not None and sends and time.monotonic() - last > 0.05:
             last = time.monotonic()
             ns = time.time_ns()
             stamp = known["builtin_interfaces/Time"](sec=ns // 10**9, nanosec=ns % 10**9)

@@ -126,6 +126,9 @@ fn another_implementation_of_dds_gets_every_frame_in_its_order() {
     for (k, current) in log.currents.iter().enumerate() {
         assert_eq!(current.values_a, [(first + k as f64) % 64.0 / 8.0, -0.5]);
     }
-    assert!(messages("/coil/joint_states").len() >= log.currents.len() - 1, "currents");
+    let efforts = messages("/coil/joint_states").iter().map(|message| message["effort"].clone());
+    let efforts: Vec<Vec<f64>> = efforts.map(|effort| serde_json::from_value(effort).unwrap()).collect();
+    let logged: Vec<_> = log.currents.iter().map(|current| current.values_a.clone()).collect();
+    assert!(logged.starts_with(&efforts) && efforts.len() >= logged.len() - 1, "{efforts:?}\n{logged:?}");
     println!("{} frames, {} currents of {sent}", log.frames.len(), log.currents.len());
 }
