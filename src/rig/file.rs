@@ -4,6 +4,7 @@
 use super::RigError;
 use super::error::nearest;
 use crate::text_file::toml_error;
+use nalgebra::Vector2;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -68,7 +69,23 @@ pub(super) struct ViewFile {
     pub name: String,
     pub path: Vec<String>,
     pub region_px: Option<Vec<[f64; 2]>>,
-    pub blur_px: Option<f64>,
+    pub blur_px: Option<BlurFile>,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(untagged, expecting = "a number of pixels, or two: along x and along y")]
+pub(super) enum BlurFile {
+    Alike(f64),
+    AlongXAndY([f64; 2]),
+}
+
+impl From<BlurFile> for Vector2<f64> {
+    fn from(blur: BlurFile) -> Self {
+        match blur {
+            BlurFile::Alike(blur_px) => Vector2::repeat(blur_px),
+            BlurFile::AlongXAndY(blur_px) => blur_px.into(),
+        }
+    }
 }
 
 #[derive(Debug, Deserialize)]

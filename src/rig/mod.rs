@@ -34,7 +34,7 @@ pub(crate) use walk::walk;
 pub(crate) use warnings::{MIRROR_MOVED, of_camera};
 
 use crate::optics::{Lens, OpticalPath, Surface};
-use nalgebra::{Isometry3, Point2, Vector3};
+use nalgebra::{Isometry3, Point2, Vector2, Vector3};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -153,9 +153,9 @@ impl Rig {
         self.views.iter().position(|v| v.name == name)
     }
 
-    /// Blur of each view, pixels: its own, or else the camera's; `None` where neither is known.
-    pub fn blurs_px(&self) -> impl Iterator<Item = Option<f64>> {
-        self.views.iter().map(|view| view.blur_px.or(self.camera.blur_px))
+    /// Blur of each view along x and y, pixels: its own, or else the camera's; `None` where neither is known.
+    pub fn blurs_px(&self) -> impl Iterator<Item = Option<Vector2<f64>>> {
+        self.views.iter().map(|view| view.blur_px.or(self.camera.blur_px.map(Vector2::repeat)))
     }
 }
 
@@ -224,9 +224,16 @@ pub struct View {
     pub optics: OpticalPath,
     /// Where in the picture this view is: polygon, pixels; empty means anywhere.
     pub region_px: Vec<Point2<f64>>,
-    /// Its own blur, pixels, where it was measured to differ from that of the others: what is seen in a mirror is
-    /// farther away, and a mirror may be dirty.
-    pub blur_px: Option<f64>,
+    /// Its own blur along the picture's x and y, pixels, where it was measured to differ from that of the others (what
+    /// is seen in a mirror is farther away, and a mirror may be dirty) or between directions (towards the edge of its
+    /// pictures a lens is astigmatic, and scaled pictures are blurred along one side).
+    pub blur_px: Option<Vector2<f64>>,
+}
+
+/// A blur along x and y for people: one number where both are alike, else `x × y`.
+pub(crate) fn blur_in_words(blur_px: &Vector2<f64>) -> String {
+    let [x, y] = [blur_px.x, blur_px.y].map(|px| format!("{px:.2}"));
+    if x == y { x } else { format!("{x} × {y}") }
 }
 
 /// A coloured band.

@@ -146,9 +146,14 @@ fn view(first: bool, view: &View) -> String {
         let corners = view.region_px.iter().map(|c| list(c.iter().map(|v| decimal(*v, 9))));
         let _ = writeln!(text, "region_px = {}", list(corners));
     }
-    if let Some(blur) = view.blur_px {
-        let _ = writeln!(text, "blur_px = {}", decimal(blur, 9));
+    match view.blur_px.map(|blur| [blur.x, blur.y]) {
+        Some([x, y]) if x == y => writeln!(text, "blur_px = {}", decimal(x, 9)),
+        Some(x_and_y) => {
+            writeln!(text, "blur_px = {} # along x and y", list(x_and_y.map(|v| decimal(v, 9)).into_iter()))
+        }
+        None => Ok(()),
     }
+    .unwrap_or_default();
     text
 }
 

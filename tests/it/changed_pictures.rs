@@ -78,6 +78,15 @@ fn blurred(picture: &Picture) -> Picture {
     })
 }
 
+/// The picture blurred along its rows only, by 1/4, 1/2, 1/4: as one that was stretched, or is seen by an astigmatic lens.
+fn blurred_along_rows(picture: &Picture) -> Picture {
+    with_rows(picture, |i, j| {
+        let plane = picture.plane(i).unwrap();
+        let at = |x: usize| u32::from(plane.row(j).unwrap()[x.min(plane.width - 1)]);
+        (0..plane.width).map(|x| ((at(x.saturating_sub(1)) + 2 * at(x) + at(x + 1) + 2) / 4) as u8).collect()
+    })
+}
+
 /// The mean of two pictures.
 fn averaged(picture: &Picture, other: &Picture) -> Picture {
     with_rows(picture, |i, j| {
@@ -251,6 +260,16 @@ fn one_view_out_of_focus_is_warned_of_and_tracked_with_its_blur() {
     assert!(count > 30 && mean < 0.45, "{mean} of {count} frames");
 }
 
+#[test]
+fn pictures_blurred_in_one_direction_are_warned_of_and_tracked_with_that_blur() {
+    let sharp = frames(0, 120, |picture| composed(picture, picture, 0));
+    let ((sharp, _), (soft, warned)) = (tracked(&sharp), tracked(&frames(0, 120, blurred_along_rows)));
+    assert!(warned);
+    let (mean, count) = mean_square(&sharp[80..], &soft[80..], 0..2);
+    println!("{mean} of {count} positions");
+    assert!(count > 60 && mean < 1.0, "{mean} of {count} positions");
+}
+
 /// Frames that were changed.
 struct Shown(std::vec::IntoIter<Frame>);
 
@@ -283,7 +302,7 @@ fn taught_at(places: [(&str, Point2<f64>); 3], frames: &[Frame]) -> (Rig, Vec<f6
 fn a_view_that_is_less_sharp_is_taught_with_its_own_blur_and_views_alike_share_one() {
     let sharp = frames(0, 100, |picture| composed(picture, picture, 0));
     let soft = frames(0, 100, |picture| composed(picture, &blurred(picture), BETWEEN));
-    let of = |rig: &Rig| -> Vec<f64> { rig.blurs_px().map(Option::unwrap).collect() };
+    let of = |rig: &Rig| -> Vec<f64> { rig.blurs_px().map(|blur_px| blur_px.unwrap().x).collect() };
     let (alike, sd_px) = taught(&sharp);
     println!("alike {:?} ± {sd_px:?} px", of(&alike));
     assert!(alike.views.iter().all(|view| view.blur_px.is_none()));
@@ -301,6 +320,13 @@ fn a_view_that_is_less_sharp_is_taught_with_its_own_blur_and_views_alike_share_o
     };
     let (mean, count) = mean_square(&estimates(&alike, &sharp), &estimates(&own, &soft), 0..3);
     assert!(count > 200 && mean < 1.0, "{mean} of {count} positions");
+
+    let (along_rows, _) = taught(&frames(0, 100, blurred_along_rows));
+    for (blur_px, common) in along_rows.blurs_px().map(Option::unwrap).zip(of(&alike)) {
+        println!("blurred along the rows: {blur_px:?} px");
+        let added = (blur_px.x.powi(2) - common.powi(2)).sqrt();
+        assert!((0.6..1.5).contains(&added) && (blur_px.y - common).abs() < 0.1, "{blur_px} px, before {common} px");
+    }
 }
 
 /// As noise reduction over time does.

@@ -328,12 +328,17 @@ fn media_must_agree_between_walls() {
 #[test]
 fn what_is_read_and_written_reads_the_same() {
     let own_blur = changed("name = \"mirror\"\n", "name = \"mirror\"\nblur_px = 0.9\n");
-    assert_eq!(read(&own_blur).unwrap().blurs_px().collect::<Vec<_>>(), [Some(0.7), Some(0.9)]);
+    let of = |text: &str| read(text).unwrap().blurs_px().map(|px| px.unwrap().into()).collect::<Vec<[f64; 2]>>();
+    assert_eq!(of(&own_blur), [[0.7; 2], [0.9; 2]]);
+    let along_x = changed("name = \"mirror\"\n", "name = \"mirror\"\nblur_px = [1.1, 0.5]\n");
+    assert_eq!(of(&along_x), [[0.7; 2], [1.1, 0.5]]);
+    let three = read(&along_x.replace("[1.1, 0.5]", "[1, 2, 3]")).unwrap_err().to_string();
+    assert!(three.contains("a number of pixels, or two: along x and along y"), "{three}");
     let rolling = changed("blur_px = 0.7", "readout_ms = -14.5");
     assert_eq!(read(&rolling).unwrap().camera.readout_s, Some(-14.5e-3));
     let beside = changed("blur_px = 0.7", "colour_offset_px = [-1.0, 0.25]");
     assert_eq!(read(&beside).unwrap().camera.colour_offset_px, [-1.0, 0.25]);
-    for text in [RIG.to_owned(), own_blur, rolling, beside, std::fs::read_to_string(dev_tank()).unwrap()] {
+    for text in [RIG.to_owned(), own_blur, along_x, rolling, beside, std::fs::read_to_string(dev_tank()).unwrap()] {
         let rig = read(&text).unwrap();
         let written = rig.to_toml_string();
         let again = read(&written).unwrap();

@@ -1,17 +1,22 @@
 //! Blur of each view. What a mirror shows is farther away, and a mirror may be dirty, so that one view may be less
-//! sharp than the others; with a common blur bands are then off by some tenths of a pixel, and no residual tells.
+//! sharp than the others; a lens is astigmatic towards the edge of its pictures, and scaled pictures are blurred along
+//! one side. With a common, round blur bands are then off by some tenths of a pixel, and no residual tells.
 //!
 //! Method. Beginning with the common blur, the misfit with less and with more blur in one view gives the distance to
 //! the best one, with σ from the scatter of the frames. Unless two views differ by a tenth or more, and that is no
-//! chance, all share the common blur: it is known better.
+//! chance, all share the common blur: it is known better. The same for the ratio of the blurs along x and along y, which
+//! is 1 unless a view tells clearly that it is not.
 
 use crate::calibrate::markers::compared::{Compared, clipped};
 use crate::rig::Rig;
 use crate::source::Frame;
-use crate::track::misfit_curve::{Curve, Distance, STEP, are_apart};
+use crate::track::misfit_curve::{Curve, Distance, SHAPE, SIZE, STEP, are_apart, changed};
+use nalgebra::Vector2;
 
 /// Difference from which views have blurs of their own, of the logarithm.
 const APART: f64 = 0.1;
+/// The same of the ratio of directions. Pose and image model move it by up to 0.16 (measured on seven recordings).
+const DIRECTED: f64 = 0.25;
 /// Limits of a blur, pixels.
 pub(super) const LIMITS_PX: (f64, f64) = (0.3, 3.0);
 /// Moves towards the best blurs, and how close they end, difference of the logarithm.
@@ -21,41 +26,63 @@ const SETTLED: f64 = 0.02;
 /// recording with one view blurred by 0.8 pixels, 0.48 and 0.91 px were found where 0.467 and 0.926 px are right.
 const MODEL_SD: f64 = 0.03;
 
-/// Finds the views' blurs; returns σ of that of each view from this view alone, pixels, `None` where it does not tell.
+/// Finds the views' blurs; returns σ of the size of that of each view from this view alone, pixels, `None` where it does
+/// not tell.
 pub(super) fn find(rig: &mut Rig, frames: &[&Frame], followers: &[Frame]) -> Vec<Option<f64>> {
-    let Some(common_px) = rig.camera.blur_px else { return vec![None; rig.views.len()] };
-    let mut distances = distances(rig, frames, followers);
-    if are_apart(&distances, APART) {
-        for _ in 0..MOST_MOVES {
-            for (view, distance) in rig.views.iter_mut().zip(&distances) {
-                let factor = distance.as_ref().map_or(1.0, Distance::factor);
-                view.blur_px = Some((view.blur_px.unwrap_or(common_px) * factor).clamp(LIMITS_PX.0, LIMITS_PX.1));
-            }
-            if distances.iter().flatten().all(|distance| distance.log.abs() < SETTLED) {
-                break;
-            }
-            distances = self::distances(rig, frames, followers);
-        }
+    let mut sizes = distances(rig, frames, followers, SIZE);
+    if are_apart(&sizes, APART) {
+        sizes = approach(rig, frames, followers, &[SIZE]);
+    }
+    let shapes = distances(rig, frames, followers, SHAPE);
+    if shapes.iter().flatten().any(|distance| distance.exceeds(DIRECTED)) {
+        sizes = approach(rig, frames, followers, &[SHAPE, SIZE]);
     }
     // Three decimals are beyond the accuracy.
-    rig.views.iter_mut().for_each(|view| view.blur_px = view.blur_px.map(|blur_px| (blur_px * 1e3).round() / 1e3));
-    let blurs_px = rig.blurs_px().zip(&distances);
-    blurs_px.map(|(blur_px, distance)| Some(blur_px? * (*distance)?.sd.hypot(MODEL_SD))).collect()
+    let round = |blur_px: Vector2<f64>| blur_px.map(|px| (px * 1e3).round() / 1e3);
+    rig.views.iter_mut().for_each(|view| view.blur_px = view.blur_px.map(round));
+    let sd_px = |(blur_px, size): (Option<Vector2<f64>>, &Option<Distance>)| {
+        let blur_px = blur_px?;
+        Some((blur_px.x * blur_px.y).sqrt() * size.as_ref()?.sd.hypot(MODEL_SD))
+    };
+    rig.blurs_px().zip(&sizes).map(sd_px).collect()
 }
 
-/// How far the best blur of each view is.
-fn distances(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Vec<Option<Distance>> {
+/// Moves each view's blur along these ways, by turns, to the best one; returns how far that is along the last.
+fn approach(rig: &mut Rig, frames: &[&Frame], followers: &[Frame], ways: &[Vector2<f64>]) -> Vec<Option<Distance>> {
+    let mut last = Vec::new();
+    for _ in 0..MOST_MOVES {
+        let mut settled = true;
+        for &way in ways {
+            last = distances(rig, frames, followers, way);
+            settled &= last.iter().flatten().all(|distance| distance.log.abs() < SETTLED);
+            let moved = |(blur_px, distance): (Option<Vector2<f64>>, &Option<Distance>)| {
+                let moved_px = changed(&blur_px?, way, distance.as_ref().map_or(0.0, |distance| distance.log));
+                Some(moved_px.map(|px| px.clamp(LIMITS_PX.0, LIMITS_PX.1)))
+            };
+            let blurs_px: Vec<_> = rig.blurs_px().zip(&last).map(moved).collect();
+            rig.views.iter_mut().zip(blurs_px).for_each(|(view, blur_px)| view.blur_px = blur_px);
+        }
+        if settled {
+            break;
+        }
+    }
+    last
+}
+
+/// How far the best blur of each view is, along a way.
+fn distances(rig: &Rig, frames: &[&Frame], followers: &[Frame], way: Vector2<f64>) -> Vec<Option<Distance>> {
     let compared = Compared::with(rig, frames.to_vec(), followers);
-    let of_view = |v: usize| {
+    let of_view = |(v, blur_px): (usize, Option<Vector2<f64>>)| {
+        let blur_px = blur_px?;
         let with = |log: f64| {
-            let mut changed = rig.clone();
-            changed.views[v].blur_px = rig.blurs_px().nth(v).flatten().map(|blur_px| blur_px * log.exp());
-            changed
+            let mut other = rig.clone();
+            other.views[v].blur_px = Some(changed(&blur_px, way, log));
+            other
         };
         let Curve { slopes, curvatures } = compared.curve(&with(-STEP), &with(STEP))?;
         let distance = Curve { slopes: clipped(&slopes), curvatures: clipped(&curvatures) }.distance();
-        tracing::debug!("the best blur of view `{}` is away by {distance:?}", rig.views[v].name);
+        tracing::debug!("the best blur of view `{}` is away by {distance:?}, along {way:?}", rig.views[v].name);
         distance
     };
-    (0..rig.views.len()).map(of_view).collect()
+    rig.blurs_px().enumerate().map(of_view).collect()
 }

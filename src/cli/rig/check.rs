@@ -7,7 +7,7 @@ use crate::calibrate::rig::share::{CatheterPose, of_coordinate, share};
 use crate::optics::{Surface, Wall};
 use crate::plural::plural;
 use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
-use crate::rig::{Base, Camera, Draft, View};
+use crate::rig::{Base, Camera, Draft, View, blur_in_words};
 use crate::source::{FrameSource as _, SourceOptions};
 use crate::track::{TrackOptions, Tracker};
 use nalgebra::Vector3;
@@ -179,7 +179,7 @@ fn describe(out: &mut String, file: &Path, rig: &Draft, checked: &Check) -> fmt:
 
 /// The blur of views that have their own.
 fn own_blurs(rig: &Draft) -> String {
-    let of_view = |view: &View| Some(format!(", {:.2} px in view `{}`", view.blur_px?, view.name));
+    let of_view = |view: &View| Some(format!(", {} px in view `{}`", blur_in_words(&view.blur_px?), view.name));
     rig.views.iter().filter_map(of_view).collect()
 }
 

@@ -11,6 +11,7 @@ use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, table};
 use crate::calibrate::markers::{Rectangle, Teaching, Verdict, verdict};
 use crate::plural::plural;
+use crate::rig::blur_in_words;
 use crate::sink::Palette;
 use nalgebra::Point2;
 use picture::Shown;
@@ -84,7 +85,7 @@ fn cards(done: &Teaching) -> String {
             cards += &card("Blur of lens and sensor", format!("{blur_px:.2}"), "px", false);
         }
         for (blur_px, view) in done.rig.views.iter().filter_map(|view| Some((view.blur_px?, view))) {
-            cards += &card(format!("Blur in view {}", view.name), format!("{blur_px:.2}"), "px", false);
+            cards += &card(format!("Blur in view {}", view.name), blur_in_words(&blur_px), "px", false);
         }
     }
     if cards.is_empty() { cards } else { format!("<dl class=\"key\">\n{cards}</dl>\n") }

@@ -6,7 +6,7 @@ use super::super::walk::{central_pixel, walk};
 use super::super::{Camera, RigError, View, polygon};
 use super::{Check, FARTHEST_MM, unknown_name};
 use crate::optics::{Mirror, OpticalPath, Plane, Surface, Wall};
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use std::collections::BTreeMap;
 
 /// Most corners of a region: more do not help and take long.
@@ -84,11 +84,10 @@ impl Check<'_> {
             ));
         }
         let region_px = raw.region_px.map(|corners| self.region(key("region_px"), &corners, camera)).transpose()?;
-        if let Some(blur) = raw.blur_px {
-            self.positive(key("blur_px"), blur)?;
-        }
+        let blur_px = raw.blur_px.map(Vector2::from);
+        blur_px.iter().flatten().try_for_each(|blur| self.positive(key("blur_px"), *blur))?;
         let region_px = region_px.unwrap_or_default();
-        let view = View { path: raw.path, optics, region_px, blur_px: raw.blur_px, name: name.clone() };
+        let view = View { path: raw.path, optics, region_px, blur_px, name: name.clone() };
         self.path_leads_somewhere(&view, camera)?;
         Ok(view)
     }

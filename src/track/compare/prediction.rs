@@ -28,7 +28,8 @@ pub(in crate::track) struct Scene<'a> {
     pub turns: &'a [Vector2<f64>],
     pub layout: &'a Layout,
     pub colours: &'a [f64],
-    pub blur_px: f64,
+    /// Blur along x and y, pixels.
+    pub blur_px: Vector2<f64>,
     pub encoding: &'a Encoding,
 }
 
@@ -39,8 +40,6 @@ pub(in crate::track) struct Light<'a> {
     shades: [f32; HARMONICS],
     turning: [f32; 2],
     cap: f32,
-    /// Variance of the blur, px².
-    blur_px2: f32,
     encoding: &'a Encoding,
 }
 
@@ -62,6 +61,8 @@ pub(in crate::track) struct Piece {
     d_bulge: Linear,
     scale: Linear,
     turn: [Linear; 2],
+    /// Variance of the lens's blur, across the axis and along it, px².
+    lens: [f32; 2],
     /// Variance of the motion and of the samples' neighbourhoods, across the axis and along it, px².
     blurred: [Linear; 2],
     /// Arc length from the ring, metres.
@@ -75,9 +76,9 @@ pub(in crate::track) struct Piece {
 impl Piece {
     /// σ of all blur, across the axis (0) or along it (1), pixels.
     #[inline(always)]
-    fn blur(&self, way: usize, f: f32, blur_px2: f32) -> f32 {
+    fn blur(&self, way: usize, f: f32) -> f32 {
         // Extrapolated beyond the knots, the motion's part must not become negative.
-        (blur_px2 + at(self.blurred[way], f).max(0.0)).sqrt()
+        (self.lens[way] + at(self.blurred[way], f).max(0.0)).sqrt()
     }
 }
 
@@ -96,7 +97,7 @@ impl<'a> Scene<'a> {
         colours: &'a [f64],
         stretch: &'a Stretch,
         encoding: &'a Encoding,
-        blur_px: f64,
+        blur_px: Vector2<f64>,
     ) -> Self {
         Self { image, turns, layout: &stretch.layout, colours, blur_px, encoding }
     }
@@ -109,7 +110,6 @@ impl<'a> Scene<'a> {
             shades: std::array::from_fn(|i| colour(SHADING + i)),
             turning: std::array::from_fn(|i| colour(TURNING + i)),
             cap: colour(CAP),
-            blur_px2: (self.blur_px * self.blur_px) as f32,
             encoding: self.encoding,
         }
     }
@@ -119,10 +119,13 @@ impl<'a> Scene<'a> {
     pub(super) fn piece(&self, place: &Span, middle: &Vector2<f64>, spread_px2: &Vector2<f64>) -> Piece {
         let Self { image, turns, layout, colours, .. } = self;
         let (a, b) = (&image.knots[place.knot], &image.knots[place.knot + 1]);
-        let spread = |knot: &Knot| {
+        let of_both_ways = |knot: &Knot, along_x_and_y_px2: &Vector2<f64>| {
             let [across, along] = knot.axes().map(|way| way.component_mul(&way));
-            Vector2::new(across.dot(spread_px2), along.dot(spread_px2))
+            Vector2::new(across.dot(along_x_and_y_px2), along.dot(along_x_and_y_px2))
         };
+        let spread = |knot: &Knot| of_both_ways(knot, spread_px2);
+        let lens_px2 = self.blur_px.component_mul(&self.blur_px);
+        let lens_px2 = (of_both_ways(a, &lens_px2) + of_both_ways(b, &lens_px2)) / 2.0;
         let between = |a: f64, b: f64| [a as f32, (b - a) as f32];
         let linear = |of: &dyn Fn(&Knot) -> f64| between(of(a), of(b));
         let [start, rest @ ..] = image.piece(place.knot);
@@ -138,6 +141,7 @@ impl<'a> Scene<'a> {
             d_bulge: linear(&|knot| layout.d_bulge(place.ring, knot.bulge, knot.scale)),
             scale: linear(&|knot| knot.scale),
             turn: [0, 1].map(|i| between(turns[place.knot][i], turns[place.knot + 1][i])),
+            lens: [lens_px2.x as f32, lens_px2.y as f32],
             blurred: [linear(&|knot| knot.swept.x + spread(knot).x), linear(&|knot| knot.swept.y + spread(knot).y)],
             from_ring_m: linear(&|knot| knot.arc_m - layout.rings_m[place.ring]),
             ends: layout.is_end(place.ring),
@@ -269,7 +273,7 @@ impl Rows {
 /// Locates the pixels relative to the tube, and evaluates what they see of it.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
 fn evaluate(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
-    chunk.seen = place(chunk, piece, light.blur_px2);
+    chunk.seen = place(chunk, piece);
     match (chunk.seen, piece.ends) {
         (Seen::Nothing, _) => chunk.parts = [1.0, 0.0, 0.0].map(|part| Lanes([part; CHUNK])),
         (Seen::Before | Seen::Behind, _) => show::<false, false>(chunk, piece, light),
@@ -281,7 +285,7 @@ fn evaluate(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
 
 /// The nearest points of the axis, by one Newton step from the last ones, and what is seen of the tube.
 #[inline(always)]
-fn place(chunk: &mut Chunk, piece: &Piece, blur_px2: f32) -> Seen {
+fn place(chunk: &mut Chunk, piece: &Piece) -> Seen {
     let [a, b, c, d] = piece.axis;
     let n = chunk.lanes.min(CHUNK);
     for i in 0..n {
@@ -297,7 +301,7 @@ fn place(chunk: &mut Chunk, piece: &Piece, blur_px2: f32) -> Seen {
     let mut counts = 0_u32;
     for i in 0..n {
         let (f, u) = (chunk.f.0[i], chunk.u.0[i]);
-        let far = [0, 1].map(|way| FAR_SIGMAS * piece.blur(way, f, blur_px2));
+        let far = [0, 1].map(|way| FAR_SIGMAS * piece.blur(way, f));
         let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
         let on_tube = u32::from(u.abs() <= at(piece.half, f) + far[0]);
         let at_ring = u32::from(from_ring.abs() - at(piece.bulge, f).abs() <= far[1]);
@@ -326,7 +330,7 @@ fn show<const AT_RING: bool, const ENDS: bool>(chunk: &mut Chunk, piece: &Piece,
     for i in 0..chunk.lanes.min(CHUNK) {
         let (f, u) = (chunk.f.0[i], chunk.u.0[i]);
         let half = at(piece.half, f);
-        let across = Across::new(u, half, piece.blur(0, f, light.blur_px2));
+        let across = Across::new(u, half, piece.blur(0, f));
         let turn = [at(piece.turn[0], f), at(piece.turn[1], f)];
         let m1 = light.shades[0] + turn[0] * light.turning[0] + turn[1] * light.turning[1];
         let lit = |shape: &[f32; HARMONICS]| {
@@ -335,7 +339,7 @@ fn show<const AT_RING: bool, const ENDS: bool>(chunk: &mut Chunk, piece: &Piece,
         let (shade, d_shade) = (across.cover + lit(&across.shades), across.d_cover + lit(&across.d_shades));
         let Edges { before, behind, outline, cap } = if AT_RING {
             let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
-            Edges::at_ring::<ENDS>(u / half, half, from_ring, at(piece.bulge, f), piece.blur(1, f, light.blur_px2))
+            Edges::at_ring::<ENDS>(u / half, half, from_ring, at(piece.bulge, f), piece.blur(1, f))
         } else {
             away
         };
@@ -516,7 +520,7 @@ mod tests {
                     turns: &turns,
                     layout: &layout,
                     colours,
-                    blur_px: BLUR_PX,
+                    blur_px: Vector2::repeat(BLUR_PX),
                     encoding: &encoding,
                 };
                 evaluated(&scene, &span, &pixels(&image, &span, by))

@@ -61,7 +61,7 @@ impl Round<'_> {
         let points: Vec<_> = images.iter().map(point_from_pixel).collect();
         let alone = images.iter().zip(&points).zip(&seen).zip(normals).zip(blurs_px);
         for ((((image, point), view), normal), blur_px) in alone {
-            let error = model.error.blurred(*blur_px);
+            let error = model.error.blurred(blur_px.max());
             let growth = error.growth(rms(&normal.squares));
             let moved = plain * view.shape * unmodelled(image, point, stretch, &error) * growth;
             covariance += moved * moved.transpose();

@@ -19,7 +19,7 @@ use crate::track::model::stretch::{Group, groups};
 use crate::track::model::tube_image::Sweep;
 use crate::track::model::tube_shape::TubeShape;
 use crate::track::recording::long_exposure::LONGEST_EXPOSURE;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// A fit that ends this far from its start has left its band: pixels, and half widths of a tube that is wide in the
@@ -55,7 +55,7 @@ pub(in crate::track) struct GroupFitting<'a> {
     pub rig: &'a Rig,
     pub model: &'a ImageModel,
     /// Of each view of the rig.
-    pub blurs_px: &'a [f64],
+    pub blurs_px: &'a [Vector2<f64>],
     pub frame: &'a Frame,
     pub found: &'a Found,
     /// For each marker that is the reference of a group: its last fit.
@@ -343,7 +343,7 @@ mod tests {
             let found = Found { blobs: Vec::new(), assigned: assigned.into() };
             let (last, usual) = (vec![None; rig.markers.len()], Usual::new(&rig));
             let (rig, model, frame, found, last, usual) = (&rig, &model, &frame, &found, &last[..], &usual);
-            let blurs_px = &[BLUR_PX; 2];
+            let blurs_px = &[Vector2::repeat(BLUR_PX); 2];
             let (fringes, base_rests, margin_px) = (&Fringes::of(rig), false, 4.0);
             GroupFitting { rig, model, blurs_px, frame, found, last, usual, fringes, base_rests, margin_px }
                 .fit(&group, &[0, 1])

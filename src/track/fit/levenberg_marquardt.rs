@@ -31,7 +31,7 @@ const MIN_DAMPING: f64 = 1e-6;
 pub(super) struct Round<'a> {
     pub stretch: &'a Stretch,
     pub paths: &'a [&'a OpticalPath],
-    pub blurs_px: &'a [f64],
+    pub blurs_px: &'a [Vector2<f64>],
     pub picture: &'a Picture,
     pub model: &'a ImageModel,
     pub sweep: Option<&'a Sweep>,

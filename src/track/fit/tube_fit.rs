@@ -126,7 +126,7 @@ pub(super) struct Fitting<'a> {
     /// Of each view.
     pub paths: Vec<&'a OpticalPath>,
     /// Lens and sensor blur in each view, σ in pixels.
-    pub blurs_px: Vec<f64>,
+    pub blurs_px: Vec<Vector2<f64>>,
     /// Arc lengths between which each view shows the stretch.
     pub ranges_m: Vec<(f64, f64)>,
     pub model: &'a ImageModel,
@@ -296,7 +296,7 @@ mod tests {
         picture: &'a Picture,
     ) -> Fitting<'a> {
         let ranges_m = vec![stretch.range_m; paths.len()];
-        let (blurs_px, paths) = (vec![BLUR_PX; paths.len()], paths.iter().collect());
+        let (blurs_px, paths) = (vec![Vector2::repeat(BLUR_PX); paths.len()], paths.iter().collect());
         Fitting {
             stretch,
             picture,

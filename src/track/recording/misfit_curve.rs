@@ -1,11 +1,22 @@
 //! How the misfit of pictures changes with the logarithm of a blur, and how far the best blur is.
 
+use nalgebra::Vector2;
+
+/// Ways in which a blur may differ: the logarithms along x and y change by this much each. Its size, and its shape: more
+/// in one direction and less in the other, with the same product.
+pub(crate) const SIZE: Vector2<f64> = Vector2::new(1.0, 1.0);
+pub(crate) const SHAPE: Vector2<f64> = Vector2::new(0.5, -0.5);
 /// How much less and more blur is tried: difference of its logarithm.
 pub(crate) const STEP: f64 = 0.2;
 /// Longest move at a time, difference of the logarithm: where the minimum is further away, or none is nearby.
 const LONGEST_MOVE: f64 = 0.4;
 /// Standard deviations beyond which a distance is no chance.
 const SIGNIFICANT_SD: f64 = 4.0;
+
+/// A blur, pixels along x and y, that is further along a way.
+pub(crate) fn changed(blur_px: &Vector2<f64>, way: Vector2<f64>, log: f64) -> Vector2<f64> {
+    blur_px.component_mul(&(way * log).map(f64::exp))
+}
 
 /// From three misfits of each of some frames.
 #[derive(Debug, Clone, Default)]
@@ -55,7 +66,7 @@ pub(crate) fn mean_with_sd(values: &[f64]) -> (f64, f64) {
 
 impl Distance {
     /// Whether it is more than this, and no chance.
-    pub(super) fn exceeds(&self, least: f64) -> bool {
+    pub(crate) fn exceeds(&self, least: f64) -> bool {
         self.log.abs() > least && self.log.abs() > SIGNIFICANT_SD * self.chance_sd
     }
 
@@ -63,11 +74,6 @@ impl Distance {
     pub(super) fn differs(&self, other: &Self, least: f64) -> bool {
         let off = (self.log - other.log).abs();
         off > least && off > SIGNIFICANT_SD * self.sd.hypot(other.sd)
-    }
-
-    /// The factor by which the blur moves there, or on the way there.
-    pub(crate) fn factor(&self) -> f64 {
-        self.log.exp()
     }
 }
 

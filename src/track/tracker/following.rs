@@ -36,10 +36,10 @@ impl Tracker {
         // In blended pictures what moves looks out of focus.
         let blended = self.blending.is_seen();
         if !blended && let Some(tries) = self.focus.tries(frame.stamp, moved_px) {
-            let with = |blurs_px: &Vec<f64>| self.fitting(frame, found, blurs_px, TRACKED_PX).again(of_coil, None);
-            if let Some([less, more]) = both(&tries, with)
-                && self.focus.moves(&of_coil.views, fit, [&less, &more])
-            {
+            let with =
+                |blurs_px: &Vec<Vector2<f64>>| self.fitting(frame, found, blurs_px, TRACKED_PX).again(of_coil, None);
+            let tried = tries.each_ref().map(|less_and_more| both(less_and_more, with));
+            if self.focus.moves(&of_coil.views, fit, &tried) {
                 self.begin_resting();
             }
         } else if let Some(ways) = self.blending.tries(frame.stamp, moved_px) {
@@ -63,7 +63,7 @@ impl Tracker {
         let blurs_px = self.focus.blurs_px();
         let Some(fit) = self.fitting(frame, found, blurs_px, TRACKED_PX).again(&other, None) else { return };
         let blurred = OTHER_BLURS.iter().filter_map(|times| {
-            let blurs_px: Vec<f64> = blurs_px.iter().map(|blur_px| blur_px * times).collect();
+            let blurs_px: Vec<_> = blurs_px.iter().map(|blur_px| blur_px * *times).collect();
             self.fitting(frame, found, &blurs_px, TRACKED_PX).again(of_coil, None)
         });
         let blurred: Vec<TubeFit> = blurred.collect();

@@ -379,7 +379,7 @@ impl Tracker {
         &'a self,
         frame: &'a Frame,
         found: &'a Found,
-        blurs_px: &'a [f64],
+        blurs_px: &'a [Vector2<f64>],
         margin_px: f64,
     ) -> GroupFitting<'a> {
         let Self { rig, model, judge, before: last, fringes, .. } = self;

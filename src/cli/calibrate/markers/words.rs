@@ -2,7 +2,8 @@
 
 use crate::calibrate::markers::{MarkersCalibration, ProposedRegion, Teaching, Verdict, verdict};
 use crate::plural::plural;
-use crate::rig::Rig;
+use crate::rig::{Rig, blur_in_words};
+use nalgebra::Vector2;
 use std::fmt::Write as _;
 
 pub(super) fn describe(done: &Teaching) -> String {
@@ -57,9 +58,10 @@ fn describe_blur(done: &Teaching) -> String {
         return rig.camera.blur_px.map_or("not known".to_owned(), |blur_px| format!("{blur_px:.2} px"));
     }
     let sd_px = |v: usize| done.outcome.as_ref().ok()?.blur_sd_px.get(v).copied().flatten();
-    let of_view = |(v, blur_px): (usize, Option<f64>)| {
+    let of_view = |(v, blur_px): (usize, Option<Vector2<f64>>)| {
+        let blur = blur_px.map_or("not known".to_owned(), |blur_px| blur_in_words(&blur_px));
         let sd = sd_px(v).map_or("as the others'".to_owned(), |sd_px| format!("± {sd_px:.2} px"));
-        format!("{:.2} {sd} in view `{}`", blur_px.unwrap_or(f64::NAN), rig.views[v].name)
+        format!("{blur} {sd} in view `{}`", rig.views[v].name)
     };
     rig.blurs_px().enumerate().map(of_view).collect::<Vec<_>>().join(", ")
 }
