@@ -26,6 +26,7 @@ mod queue;
 mod status;
 mod subscribers;
 mod switch;
+mod tracking;
 mod writer;
 
 pub(crate) use currents::currents_of;
@@ -38,16 +39,15 @@ pub use status::{Latency, Status};
 pub use switch::{RecordState, RecordSwitch};
 pub use writer::MAX_ROWS;
 
-use crate::estimate::{Estimate, Miss};
-use crate::pipeline::{End, OpenSink, Summary, finish_all, returned};
-use crate::sink::{Sink, SinkError};
+use crate::pipeline::{End, Summary, finish_all, returned};
+use crate::sink::Sink;
 use crate::source::host::HostClock;
-use crate::source::{FrameSource, Picture, SourceError, StreamFaults, Timestamp};
+use crate::source::{FrameSource, SourceError, StreamFaults};
 use crate::tally::Tally;
-use crate::track::{TrackError, Tracker};
+use crate::track::Tracker;
 use pictures::Pictures;
 use priority::{SessionPriority, Urgency, run_as};
-use queue::{Next, Queue};
+use queue::Queue;
 use status::Counters;
 use std::io;
 use std::sync::Arc;
@@ -57,6 +57,7 @@ use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 use subscribers::Subscribers;
 use tracing::Span;
+use tracking::{RowOutputs, start_tracker};
 use writer::{Entry, Log};
 
 /// How long a camera that was asked to stop may take.
@@ -67,8 +68,6 @@ const CURRENTS_TIMEOUT: Duration = Duration::from_secs(1);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// How often the status is reported.
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
-/// A tracker that fell behind is urgent again when it has passed over no frame for so long.
-const RECOVERY: Duration = Duration::from_secs(5);
 
 /// Where the rows of a live run go.
 #[derive(Default)]
@@ -155,7 +154,7 @@ pub struct LiveSummary {
 /// When the system gives no thread, or no memory for counters; nothing is tracked then.
 pub fn run(
     source: Box<dyn FrameSource + Send>,
-    mut tracker: Tracker,
+    tracker: Tracker,
     pool: rayon::ThreadPool,
     outputs: Outputs,
     clock: HostClock,
@@ -182,23 +181,18 @@ pub fn run(
 
     let camera = start_camera(source, Arc::clone(&queue), Arc::clone(stop))?;
     let currents = outputs.currents.map(|currents| {
-        let (log, subscribers, latest) = (log.clone(), subscribers.clone(), outputs.latest.clone());
-        let stop = Arc::clone(stop);
-        Builder::new()
-            .name("currents".to_owned())
-            .spawn(move || log_currents(&currents, &log, &subscribers, latest.as_deref(), &stop))
+        start_currents(currents, log.clone(), subscribers.clone(), outputs.latest.clone(), Arc::clone(stop))
     });
     let currents = currents.transpose()?;
-    let tracking = {
-        let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
-        let controllers = outputs.controllers.into_iter().map(|sink| (sink, true)).collect();
-        let mut out = RowOutputs { controllers, subscribers, log, counters, pictures, latest: outputs.latest.clone() };
-        let span = Span::current();
-        Builder::new().name("tracker".to_owned()).spawn(move || {
-            let end = pool.install(|| span.in_scope(|| track_all(&mut tracker, &queue, &mut out)));
-            (end, out.controllers)
-        })?
+    let out = RowOutputs {
+        controllers: outputs.controllers.into_iter().map(|sink| (sink, true)).collect(),
+        subscribers,
+        log,
+        counters: Arc::clone(&counters),
+        pictures,
+        latest: outputs.latest.clone(),
     };
+    let tracking = start_tracker(tracker, pool, Arc::clone(&queue), out)?;
 
     let reason_to_stop = || {
         if backlog.sinks_alive() == 0 && !listened_to {
@@ -315,6 +309,18 @@ fn take_all(mut source: Box<dyn FrameSource + Send>, queue: &Queue, stop: &Atomi
     (source.faults(), end)
 }
 
+fn start_currents(
+    currents: Currents,
+    log: Log,
+    subscribers: Vec<Subscribers>,
+    latest: Option<Arc<Latest>>,
+    stop: Arc<AtomicBool>,
+) -> io::Result<JoinHandle<bool>> {
+    Builder::new()
+        .name("currents".to_owned())
+        .spawn(move || log_currents(&currents, &log, &subscribers, latest.as_deref(), &stop))
+}
+
 /// Hands on currents until the run ends; whether they ended before.
 fn log_currents(
     currents: &Currents,
@@ -340,98 +346,6 @@ fn log_currents(
             Err(RecvTimeoutError::Timeout) => return false,
             // A source goes on until it is stopped, or fails.
             Err(RecvTimeoutError::Disconnected) => return !stop.load(Ordering::Relaxed),
-        }
-    }
-}
-
-/// Where the tracker's rows go.
-struct RowOutputs {
-    controllers: Vec<OpenSink>,
-    subscribers: Vec<Subscribers>,
-    log: Log,
-    counters: Arc<Counters>,
-    pictures: Option<Pictures>,
-    latest: Option<Arc<Latest>>,
-}
-
-impl RowOutputs {
-    fn report(error: &SinkError) {
-        tracing::error!("{error}; this controller receives nothing from now on; logging continues");
-    }
-
-    /// Controllers first: they wait for it.
-    fn put(&mut self, estimate: Estimate, tracked: bool) -> Arc<Estimate> {
-        for (controller, works) in self.controllers.iter_mut().filter(|(_, works)| *works) {
-            if let Err(error) = controller.write(&estimate, None) {
-                *works = false;
-                Self::report(&error);
-            }
-        }
-        let estimate = Arc::new(estimate);
-        let totals = self.counters.add(&estimate, tracked);
-        self.subscribers.iter().for_each(|line| line.put(&estimate, totals.clone()));
-        self.log.put(Entry::Frame(Arc::clone(&estimate), totals));
-        estimate
-    }
-
-    /// A frame that was tracked, once nothing more is read from its picture; of one that was not, only its row.
-    fn show(&mut self, estimate: Arc<Estimate>, picture: Option<Picture>) {
-        let picture = picture.map(Arc::new);
-        if let Some(latest) = &self.latest {
-            latest.put(&estimate, picture.as_ref());
-        }
-        if let (Some(pictures), Some(picture)) = (&mut self.pictures, picture) {
-            pictures.put(estimate, picture);
-        }
-    }
-
-    fn put_untracked(&mut self, row: Estimate) {
-        let row = self.put(row, false);
-        self.show(row, None);
-    }
-}
-
-/// Tracks all frames; why it ended early, if it did.
-fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut RowOutputs) -> Option<End> {
-    let all_run_as = |urgency: Urgency| {
-        rayon::broadcast(|_| run_as(urgency));
-    };
-    all_run_as(Urgency::Tracker);
-    let mut fell_behind: Option<Instant> = None;
-    loop {
-        let (skipped, frame) = match queue.next(REPORT_INTERVAL) {
-            Next::Frames(skipped, frame) => (skipped, frame),
-            Next::Silence => continue,
-            Next::Closed => return None,
-        };
-        if !skipped.is_empty() {
-            // Whatever else runs must not starve meanwhile: the log, and the system.
-            if fell_behind.replace(Instant::now()).is_none() {
-                all_run_as(Urgency::Soon);
-            }
-        } else if fell_behind.is_some_and(|since| since.elapsed() > RECOVERY) {
-            fell_behind = None;
-            all_run_as(Urgency::Tracker);
-        }
-        skipped.into_iter().for_each(|row| out.put_untracked(row));
-        let Some(frame) = frame else { continue };
-        match tracker.measure(&frame) {
-            Ok((estimate, measured)) => {
-                let estimate = out.put(estimate, true);
-                tracker.learn(&frame, measured);
-                out.show(estimate, Some(frame.picture));
-            }
-            Err(TrackError::Size { found, .. }) => {
-                out.put_untracked(Estimate::missed(&frame, tracker.rig(), &Miss::WrongSize { found }));
-            }
-            Err(error) => {
-                let (seq, stamp): (u64, Timestamp) = (frame.seq, frame.stamp);
-                return Some(End::Track { seq, stamp, error });
-            }
-        }
-        while let Some(warning) = tracker.warning() {
-            tracing::warn!("{warning}");
-            out.counters.warn(warning);
         }
     }
 }

@@ -85,6 +85,23 @@ impl Lens {
         [&self.distortion, denominator].concat()
     }
 
+    /// What ROS and Foxglove call its model: the same coefficients with other names.
+    pub(crate) fn ros_name(&self) -> &'static str {
+        if self.is_rational() { "rational_polynomial" } else { "plumb_bob" }
+    }
+
+    /// The camera matrix, row-major.
+    pub(crate) fn matrix(&self) -> [f64; 9] {
+        let (f, c) = (self.focal_px, self.principal_point_px);
+        [f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0]
+    }
+
+    /// The projection matrix of a camera by itself: [`Lens::matrix`] with a fourth column of zeros.
+    pub(crate) fn projection_matrix(&self) -> [f64; 12] {
+        let (f, c) = (self.focal_px, self.principal_point_px);
+        [f.x, 0.0, c.x, 0.0, 0.0, f.y, c.y, 0.0, 0.0, 0.0, 1.0, 0.0]
+    }
+
     /// The radial factor's denominator, and its derivative with respect to r².
     pub(crate) fn denominator_at(&self, r2: f64) -> (f64, f64) {
         let [k4, k5, k6] = self.denominator;

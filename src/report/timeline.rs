@@ -5,7 +5,7 @@
 //! lost, however long the run. Runs of up to [`MAX_BINS`] frames are kept frame by frame.
 
 /// More than the pixels across any plot.
-pub(super) const MAX_BINS: usize = 4096;
+const MAX_BINS: usize = 4096;
 
 /// Smallest and largest value of one channel in one bin.
 #[derive(Debug, Clone, Copy, PartialEq)]

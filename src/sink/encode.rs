@@ -146,19 +146,13 @@ impl VideoWriter {
         let codec_base = av::Rational(1, self.ticks_per_s as i32);
         let stream_base = self.output.stream(0).map_or(codec_base, |s| s.time_base());
         let mut packet = av::Packet::empty();
-        loop {
-            match self.encoder.receive_packet(&mut packet) {
-                Ok(()) => {}
-                Err(av::Error::Eof) => return Ok(()),
-                // The encoder wants more frames first.
-                Err(av::Error::Other { errno }) if would_block(errno) => return Ok(()),
-                Err(source) => return Err(self.failed("encoding")(source)),
-            }
+        while receive(&mut self.encoder, &mut packet).map_err(self.failed("encoding"))? {
             packet.set_stream(0);
             packet.set_duration(interval);
             packet.rescale_ts(codec_base, stream_base);
             packet.write_interleaved(&mut self.output).map_err(self.failed("writing"))?;
         }
+        Ok(())
     }
 
     fn failed(&self, doing: &'static str) -> impl Fn(av::Error) -> SinkError + use<> {
@@ -167,8 +161,18 @@ impl VideoWriter {
     }
 }
 
+/// Takes a finished packet from an encoder; `false` when it wants more frames first, or has ended.
+pub(super) fn receive(encoder: &mut av::encoder::video::Encoder, packet: &mut av::Packet) -> Result<bool, av::Error> {
+    match encoder.receive_packet(packet) {
+        Ok(()) => Ok(true),
+        Err(av::Error::Eof) => Ok(false),
+        Err(av::Error::Other { errno }) if would_block(errno) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
 /// Whether a system error number is EAGAIN, whose value depends on the system.
-pub(super) fn would_block(errno: i32) -> bool {
+fn would_block(errno: i32) -> bool {
     std::io::Error::from_raw_os_error(errno).kind() == std::io::ErrorKind::WouldBlock
 }
 

@@ -14,7 +14,7 @@
 
 use super::clock::Rising;
 use super::colour::{ConvertError, FromBgr, ToBgr};
-use super::encode::would_block;
+use super::encode::receive;
 use super::{Sink, SinkError, settle_written};
 use crate::estimate::Estimate;
 use crate::source::{
@@ -198,19 +198,13 @@ impl Running {
     /// Moves finished packets from the encoder into the file.
     fn drain(&mut self) -> Result<(), av::Error> {
         let mut packet = av::Packet::empty();
-        loop {
-            match self.encoder.receive_packet(&mut packet) {
-                Ok(()) => {}
-                Err(av::Error::Eof) => return Ok(()),
-                // The encoder wants more frames first.
-                Err(av::Error::Other { errno }) if would_block(errno) => return Ok(()),
-                Err(error) => return Err(error),
-            }
+        while receive(&mut self.encoder, &mut packet)? {
             packet.set_stream(0);
             // The stamps are not rescaled: see the head of this file.
             packet.write(&mut self.output)?;
             end_cluster(&mut self.output)?;
         }
+        Ok(())
     }
 }
 

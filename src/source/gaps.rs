@@ -22,7 +22,7 @@ use std::collections::VecDeque;
 /// Steps that are remembered.
 pub(crate) const WINDOW: usize = 61;
 /// A step of this many medians is a gap even where the rate varies.
-pub(crate) const GAP_MEDIANS: f64 = 4.0;
+const GAP_MEDIANS: f64 = 4.0;
 /// Steps needed before the period is estimated.
 const MIN_STEPS: usize = 8;
 /// Steps during which a declared period is trusted.

@@ -31,26 +31,20 @@ pub(crate) struct Desk {
 impl Desk {
     /// For teaching and looking through runs.
     pub(crate) fn new(places: Places, start: Start, verbs: Verbs) -> Self {
-        Self {
-            places,
-            start,
-            verbs: Some(verbs),
-            watch: None,
-            camera: None,
-            boards: Boards::default(),
-            runs: Runs::default(),
-            reels: Mutex::default(),
-        }
+        Self { start, verbs: Some(verbs), ..Self::empty(places) }
     }
 
     /// For a live run, and nothing else.
     pub(crate) fn live(places: Places, watch: Watch) -> Self {
-        let start = Start::default();
+        Self { watch: Some(watch), ..Self::empty(places) }
+    }
+
+    fn empty(places: Places) -> Self {
         Self {
             places,
-            start,
+            start: Start::default(),
             verbs: None,
-            watch: Some(watch),
+            watch: None,
             camera: None,
             boards: Boards::default(),
             runs: Runs::default(),

@@ -10,7 +10,7 @@ use axum::http::{HeaderMap, Method, Uri};
 use std::net::{IpAddr, SocketAddr};
 
 /// The header with the key.
-pub(super) const KEY: &str = "x-catoptra-key";
+const KEY: &str = "x-catoptra-key";
 
 /// Bytes of the key.
 const KEY_BYTES: usize = 16;

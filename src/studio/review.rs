@@ -95,8 +95,7 @@ pub(super) struct FrameAsked {
 /// One frame of a run: what was found in it, and which picture it is.
 pub(super) fn frame(desk: &Desk, asked: &FrameAsked) -> Result<Reply, Refusal> {
     let run = desk.run_as_read(&asked.run, asked.version.as_deref())?;
-    let beyond = || Refusal::wrong(format!("row {}: the run has {}", asked.row, run.rows.len()));
-    let row = run.rows.get(asked.row).ok_or_else(beyond)?;
+    let row = run.row(asked.row)?;
     let bands: Vec<Value> = run
         .markers
         .iter()

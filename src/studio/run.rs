@@ -131,6 +131,11 @@ impl Run {
         Ok(run)
     }
 
+    pub(super) fn row(&self, number: usize) -> Result<&Row, Refusal> {
+        let beyond = || Refusal::wrong(format!("row {number}: the run has {}", self.rows.len()));
+        self.rows.get(number).ok_or_else(beyond)
+    }
+
     /// `ok`, or the word of the reason why a row has no θ: that of the coil if it was not measured, else of the first
     /// marker that was not.
     pub(super) fn word(&self, row: &Row) -> String {

@@ -26,8 +26,7 @@ pub(super) struct Asked {
 /// Vetoes a frame, or takes that back.
 pub(super) fn veto(desk: &Desk, asked: &Asked) -> Result<Reply, Refusal> {
     let run = desk.run_as_read(&asked.run, asked.version.as_deref())?;
-    let beyond = || Refusal::wrong(format!("row {}: the run has {}", asked.row, run.rows.len()));
-    let row = run.rows.get(asked.row).ok_or_else(beyond)?;
+    let row = run.row(asked.row)?;
     if asked.seq.is_some_and(|seq| seq != row.seq) {
         return Err(Refusal::tracked_again());
     }

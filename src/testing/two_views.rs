@@ -85,7 +85,7 @@ impl Tube {
     }
 
     /// Where its bands go from and to, metres from its centre along it; the last ends it.
-    pub(crate) const BANDS_M: [(f64, f64); 2] = [(-6e-3, 6e-3), (19e-3, 25e-3)];
+    const BANDS_M: [(f64, f64); 2] = [(-6e-3, 6e-3), (19e-3, 25e-3)];
 
     fn line(&self) -> CentreLine {
         let at = |arc_m: f64| (arc_m, self.centre + self.direction * (arc_m - ABOVE_M), self.direction);

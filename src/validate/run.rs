@@ -184,22 +184,14 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     said.extend(notes::few_frames(frames_per_period));
     said.extend(response.circle.as_ref().and_then(|circle| notes::far_from_circle(circle, sd_m)));
     said.extend(sd_m.and(notes::lone_period(path, steps.len())));
-    // Wrong frames at the same place of each period would look like the response.
     let of_runs: Vec<Sample> =
         samples.iter().filter(|(at, _)| (window.start_ns..window.end_ns()).contains(at)).copied().collect();
-    let lone = lone(&of_runs);
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
     let vetoed = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.status == VETOED);
     let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= window.at_ns(skipped)).count();
     let sd = response.sd(path, &steps, (sd_m, averaged * seen as f64));
-    let too_far = |sd: f64| lone.zip(response.magnitude).is_some_and(|(lone, size)| lone.mean_m > sd * size.observed_m);
-    let repeated = notes::repeated(&of_runs);
-    let off_plane = response.plane.as_ref().zip(response.magnitude.as_ref());
-    let off_plane = off_plane.and_then(|(plane, magnitude)| notes::far_from_plane(plane, magnitude));
-    let sound_sd = sd.filter(|sd| !too_far(*sd) && repeated.is_none() && off_plane.is_none());
-    said.extend(repeated);
-    said.extend(off_plane);
-    said.extend(lone.map(|lone| lone.note(sd.is_some() && sound_sd.is_none())));
+    let (response_sd, wrong_frames) = unless_wrong_frames(sd, &response, &of_runs);
+    said.extend(wrong_frames);
     Ok(Run {
         given: 0,
         file: recording.path.clone(),
@@ -230,11 +222,24 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         periods,
         tangent_rms_rad: tangent_rms_rad(path, recording, skipped, mean),
         scatter_m: scatter_m(counted.iter().flatten()),
-        response_sd: sound_sd,
+        response_sd,
         sd_m,
         notes: said,
         steps,
     })
+}
+
+/// σ of a response, unless frames may be wrong: at the same place of each period they would look like the response. And
+/// what is to be said of such frames.
+fn unless_wrong_frames(sd: Option<f64>, response: &Response, samples: &[Sample]) -> (Option<f64>, Vec<String>) {
+    let lone = lone(samples);
+    let too_far = |sd: f64| lone.zip(response.magnitude).is_some_and(|(lone, size)| lone.mean_m > sd * size.observed_m);
+    let repeated = notes::repeated(samples);
+    let off_plane = response.plane.as_ref().zip(response.magnitude.as_ref());
+    let off_plane = off_plane.and_then(|(plane, magnitude)| notes::far_from_plane(plane, magnitude));
+    let sound_sd = sd.filter(|sd| !too_far(*sd) && repeated.is_none() && off_plane.is_none());
+    let lone = lone.map(|lone| lone.note(sd.is_some() && sound_sd.is_none()));
+    (sound_sd, [repeated, off_plane, lone].into_iter().flatten().collect())
 }
 
 /// An observed point and the desired one.

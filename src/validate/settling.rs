@@ -58,7 +58,7 @@ impl Settling {
     }
 
     /// Whether the motion still changes from period to period.
-    pub(crate) fn is_unsettled(&self) -> bool {
+    fn is_unsettled(&self) -> bool {
         self.change_m > SETTLED_FRACTION * self.size_m
             && self.noise_m.is_none_or(|noise_m| self.change_m > NOISE * noise_m)
     }

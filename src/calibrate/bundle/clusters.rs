@@ -72,6 +72,37 @@ pub(crate) struct Part {
     pub(crate) pull: DVector<f64>,
 }
 
+impl Part {
+    /// What no cluster says of `size` unknowns.
+    pub(crate) fn nothing(size: usize) -> Self {
+        Self { information: DMatrix::zeros(size, size), pull: DVector::zeros(size) }
+    }
+
+    /// What several clusters say is the sum of what each says.
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.information += &other.information;
+        self.pull += &other.pull;
+    }
+
+    /// Its information about a difference, in some directions, between its clusters' unknowns and those of all others.
+    /// What all clusters have in common is eliminated, their information being 1.
+    pub(crate) fn about_difference(&self, directions: &DMatrix<f64>) -> DMatrix<f64> {
+        let by_directions = &self.information * directions;
+        directions.tr_mul(&by_directions) - by_directions.tr_mul(&by_directions)
+    }
+
+    /// How far the unknowns of its clusters and of all others are from the solution, given their difference.
+    pub(crate) fn apart(&self, difference: &DVector<f64>) -> [DVector<f64>; 2] {
+        let others = -(&self.information * difference);
+        [&others + difference, others]
+    }
+
+    /// Its pull when the unknowns are elsewhere than at the solution.
+    pub(crate) fn pull_after(&self, step: &DVector<f64>) -> DVector<f64> {
+        &self.pull - &self.information * step
+    }
+}
+
 /// Uncertainty of the shared unknowns.
 #[derive(Debug, Clone)]
 pub(crate) struct Clustered {
@@ -104,7 +135,7 @@ impl Clustered {
         // In whitened unknowns, the information from the pictures and from the priors.
         let nothing = || DMatrix::<f64>::zeros(size, size);
         let of_clusters = clusters.iter().max().map_or(0, |last| last + 1);
-        let mut parts = vec![Part { information: nothing(), pull: DVector::zeros(size) }; of_clusters];
+        let mut parts = vec![Part::nothing(size); of_clusters];
         for (cluster, (information, pull)) in clusters.iter().zip(equations.by_block()?) {
             let part = parts.get_mut(*cluster)?;
             part.information += &whitening * information * whitening.transpose();

@@ -102,14 +102,14 @@ impl Fit {
     /// `own`: what the group's own parameters change.
     fn of(parts: &[Part], own: &DMatrix<f64>, group: &Range<usize>) -> Option<Self> {
         let (first, rest) = parts.get(group.clone())?.split_first()?;
-        let information = rest.iter().fold(first.information.clone(), |sum, part| sum + &part.information);
-        let pull = own.tr_mul(&rest.iter().fold(first.pull.clone(), |sum, part| sum + &part.pull));
-        let change = about(own, &information).cholesky()?.solve(&pull);
-        let others = -(&information * (own * &change));
-        let moved = [&others + own * &change, others];
+        let mut together = first.clone();
+        rest.iter().for_each(|part| together.add(part));
+        let pull = own.tr_mul(&together.pull);
+        let change = about(own, &together).cholesky()?.solve(&pull);
+        let moved = together.apart(&(own * &change));
         let left = parts.iter().enumerate().map(|(cluster, part)| {
             let by = &moved[usize::from(!group.contains(&cluster))];
-            chi_square(&own.tr_mul(&(&part.pull - &part.information * by)), about(own, &part.information))
+            chi_square(&own.tr_mul(&part.pull_after(by)), about(own, part))
         });
         // The noise is known, and less cannot be left but by chance.
         let freedom = (OWN * (parts.len() - 2)) as f64;
@@ -118,11 +118,9 @@ impl Fit {
     }
 }
 
-/// What a group says of its own parameters, given its information about all unknowns: what all clusters have in common
-/// is eliminated, their information being 1.
-fn about(own: &DMatrix<f64>, information: &DMatrix<f64>) -> DMatrix<f64> {
-    let by_own = information * own;
-    let mut about = own.tr_mul(&by_own) - by_own.tr_mul(&by_own);
+/// The information of one or several clusters about parameters of their own.
+fn about(own: &DMatrix<f64>, part: &Part) -> DMatrix<f64> {
+    let mut about = part.about_difference(own);
     for i in 0..about.nrows() {
         about[(i, i)] *= 1.0 + RANK;
     }

@@ -410,9 +410,9 @@ fn start(
 ) -> Result<(Lens, Vec<Isometry3<f64>>), CameraError> {
     let (mut objects, mut images) = (Vector::<Vector<Point3f>>::new(), Vector::<Vector<Point2f>>::new());
     for picture in used {
-        let seen = || picture.image.corners.iter().filter_map(|(i, pixel)| Some((places.get(*i)?, pixel)));
-        objects.push(seen().map(|(p, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32)).collect());
-        images.push(seen().map(|(_, p)| Point2f::new(p.x as f32, p.y as f32)).collect());
+        let (object, image) = models::opencv_points(places, picture);
+        objects.push(object);
+        images.push(image);
     }
     let (mut matrix, mut distortion) = (Mat::default(), Mat::default());
     let (mut turns, mut shifts) = (Vector::<Mat>::new(), Vector::<Mat>::new());

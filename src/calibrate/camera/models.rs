@@ -89,14 +89,7 @@ fn held_out(
     size_px: [u32; 2],
     model: Model,
 ) -> opencv::Result<Vec<f64>> {
-    let boards: Vec<(Vector<Point3f>, Vector<Point2f>)> = used
-        .iter()
-        .map(|picture| {
-            let seen = || picture.image.corners.iter().filter_map(|(i, pixel)| Some((places.get(*i)?, pixel)));
-            let place = |(p, _): (&Point3<f64>, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32);
-            (seen().map(place).collect(), seen().map(|(_, p)| Point2f::new(p.x as f32, p.y as f32)).collect())
-        })
-        .collect();
+    let boards: Vec<_> = used.iter().map(|picture| opencv_points(places, picture)).collect();
     let mut all = Vec::with_capacity(boards.len());
     for fold in 0..FOLDS {
         let (mut objects, mut images) = (Vector::<Vector<Point3f>>::new(), Vector::<Vector<Point2f>>::new());
@@ -110,6 +103,13 @@ fn held_out(
         }
     }
     Ok(all)
+}
+
+/// The corners that a picture shows, on its board and in the picture.
+pub(super) fn opencv_points(places: &[Point3<f64>], picture: &BoardPicture) -> (Vector<Point3f>, Vector<Point2f>) {
+    let seen = || picture.image.corners.iter().filter_map(|(i, pixel)| Some((places.get(*i)?, pixel)));
+    let place = |(p, _): (&Point3<f64>, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32);
+    (seen().map(place).collect(), seen().map(|(_, p)| Point2f::new(p.x as f32, p.y as f32)).collect())
 }
 
 /// OpenCV's flags for one model or the other. By singular values, its default, each step takes several times as long

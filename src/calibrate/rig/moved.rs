@@ -98,26 +98,24 @@ fn most_evidence(parts: &[&Part], motions: &[(String, DMatrix<f64>)], least: f64
     let size = parts.first()?.pull.len();
     // Each cluster's pull has the covariance Hᵢ − Hᵢ² if there is nothing but noise.
     let noise: f64 = parts.iter().map(|part| part.information.trace() - part.information.norm_squared()).sum();
-    let (mut information, mut pull) = (DMatrix::zeros(size, size), DVector::zeros(size));
+    let mut together = Part::nothing(size);
     let mut best: Option<Evidence> = None;
     for (at, part) in parts.iter().enumerate().rev() {
-        information += &part.information;
-        pull += &part.pull;
+        together.add(part);
         if at < MIN_CLUSTERS || parts.len() - at < MIN_CLUSTERS {
             continue;
         }
         for (motion, (_, directions)) in motions.iter().enumerate() {
-            let Some((chi2, count, moved)) = fitted(directions, &information, &pull) else { continue };
+            let Some((chi2, count, moved)) = fitted(directions, &together) else { continue };
             let least = best.as_ref().map_or(least, |best| best.gain);
             let gained = |chi2: f64| chi2 - MIN_EVIDENCE * count;
             if gained(chi2) < least {
                 continue;
             }
-            let before = -(&information * &moved);
-            let after = &before + moved;
+            let [after, before] = together.apart(&moved);
             let left = parts.iter().enumerate().map(|(i, part)| {
                 let by = if i < at { &before } else { &after };
-                (&part.pull - &part.information * by).norm_squared()
+                part.pull_after(by).norm_squared()
             });
             let chi2 = chi2 / (left.sum::<f64>() / noise).max(1.0);
             if gained(chi2) >= least {
@@ -170,21 +168,15 @@ fn directions(solution: &Solution, together: &[usize]) -> Option<DMatrix<f64>> {
 }
 
 /// By how much a motion in some directions lowers the sum of squares, the number of these, and that motion.
-/// `information` and `pull` are those of the clusters after it; what all clusters have in common is eliminated: their
-/// information is 1.
-fn fitted(
-    directions: &DMatrix<f64>,
-    information: &DMatrix<f64>,
-    pull: &DVector<f64>,
-) -> Option<(f64, f64, DVector<f64>)> {
-    let by_motion = information * directions;
-    let about = (directions.tr_mul(&by_motion) - by_motion.tr_mul(&by_motion)).symmetric_eigen();
-    let (mut chi2, mut count, mut moved) = (0.0, 0.0, DVector::zeros(pull.len()));
+/// `after`: the clusters after it, together.
+fn fitted(directions: &DMatrix<f64>, after: &Part) -> Option<(f64, f64, DVector<f64>)> {
+    let about = after.about_difference(directions).symmetric_eigen();
+    let (mut chi2, mut count, mut moved) = (0.0, 0.0, DVector::zeros(after.pull.len()));
     for (information, direction) in about.eigenvalues.iter().zip(about.eigenvectors.column_iter()) {
         // Of a move half-way it would be 1/4.
         if *information > 0.25 * MIN_INFORMATION {
             let direction = directions * direction;
-            let along = direction.dot(pull);
+            let along = direction.dot(&after.pull);
             chi2 += along * along / information;
             count += 1.0;
             moved += direction * (along / information);

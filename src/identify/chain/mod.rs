@@ -2,7 +2,10 @@
 //! warnings.
 
 mod bootstrap;
+mod full;
 pub(crate) mod identification;
+mod refinement;
 pub(crate) mod settings;
 pub(crate) mod steps;
+mod usable;
 pub(super) mod warnings;

@@ -2,34 +2,28 @@
 
 use crate::identify::IdentifyError;
 use crate::identify::chain::bootstrap::{middle_95, repeat};
-use crate::identify::chain::identification::{Differs, Fit, Identification, left_percent};
+use crate::identify::chain::full::{Chosen, choose, fit_full, refitted, with_delays};
+use crate::identify::chain::identification::{Fit, Identification, left_percent};
+use crate::identify::chain::refinement::{
+    Attempt, Objections, has_noise_of_output, reduced_covariance, reduced_differs,
+};
 use crate::identify::chain::settings::{Choice, Estimator, Settings};
+use crate::identify::chain::usable::{can_judge, moves, repeats};
 use crate::identify::chain::warnings::diagnostics;
 use crate::identify::checks::diagnostic::{Diagnostic, leaves_more_than_noise};
-use crate::identify::checks::follows_input::{self, Left};
-use crate::identify::checks::model_error::ModelError;
-use crate::identify::checks::other_orders::{self, compared};
+use crate::identify::checks::other_orders;
 use crate::identify::checks::residuals::Residuals;
 use crate::identify::checks::wrong_values::{leaves_sigma, wrong_values};
 use crate::identify::data::segments::{Data, Record, Segment};
 use crate::identify::data::spectrum::{Spectrum, spectrum};
 use crate::identify::estimate::between_samples::{self, Answer, MAX_PASSES, is_settled};
 use crate::identify::estimate::estimated::{Estimated, Refined};
-use crate::identify::estimate::initial_models::initial_models;
-use crate::identify::estimate::search::{Candidate, Criterion, best, search};
-use crate::identify::estimate::shortest_delay::{as_well, is_better, shortest};
-use crate::identify::estimate::{arx, instrumental, output_error};
-use crate::identify::model::covariance::Covariance;
-use crate::identify::model::modelled::{BodePoint, Modelled, Role, bandwidths};
+use crate::identify::estimate::output_error;
+use crate::identify::model::modelled::{Modelled, Role, bandwidths};
 use crate::identify::model::polynomials::{Noise, Orders, Polynomials, angle};
 use crate::identify::model::reproduction::{InitialState, Kind, compare};
-use crate::identify::periodic::{self, Periodic, Repeats};
-use crate::identify::reduce::truncation::{Reduced, Reduction, Target, reduce, reduce_in_band};
-use std::f64::consts::TAU;
-
-/// Difference of the reduced model from the refined one, in σ, from which its σ is not given. Where σ is right, fewer
-/// than one in twenty lie beyond.
-const DIFFERS_SD: f64 = 2.0;
+use crate::identify::periodic::{self, Periodic};
+use crate::identify::reduce::truncation::{Reduction, Target, reduce};
 
 /// Identifies.
 ///
@@ -244,243 +238,6 @@ fn excited_hz(spectrum: Option<&Spectrum>, period_s: f64) -> (f64, f64) {
     spectrum.map_or((0.0, 0.5 / period_s), |spectrum| spectrum.excited_hz)
 }
 
-/// Orders and delay, and the candidates they were chosen from.
-struct Chosen {
-    candidates: Vec<Candidate>,
-    criterion: Option<Criterion>,
-    orders: Orders,
-}
-
-fn choose(training: &[Segment], validation: &[Segment], settings: &Settings) -> Result<Chosen, IdentifyError> {
-    match &settings.choice {
-        Choice::Fixed(orders) => Ok(Chosen { candidates: Vec::new(), criterion: None, orders: *orders }),
-        Choice::Search { candidates, criterion } => {
-            let usual = if validation.is_empty() { Criterion::Mdl } else { Criterion::Simulation };
-            let criterion = criterion.unwrap_or(usual);
-            let candidates = search(training, validation, settings.initial_state, candidates)?;
-            if candidates.is_empty() {
-                return Err(IdentifyError::NoneDetermined);
-            }
-            let best = best(&candidates, criterion).ok_or(IdentifyError::NoneStable { tried: candidates.len() })?;
-            let orders = best.orders;
-            Ok(Chosen { candidates, criterion: Some(criterion), orders })
-        }
-    }
-}
-
-/// The full model by least squares and, if requested, by another estimator. If that fails for the orders found, lower
-/// ones may be used.
-fn fit_full(
-    training: &[Segment],
-    candidates: &[Candidate],
-    criterion: Option<Criterion>,
-    best: Orders,
-    estimator: Estimator,
-) -> Result<(Orders, Estimated, Option<Refined>), IdentifyError> {
-    let fit = |orders: Orders| -> Result<_, IdentifyError> {
-        let arx = arx::fit(training, orders)?;
-        let full = full_model(training, &arx, estimator)?;
-        Ok((orders, arx, full))
-    };
-    fit(best).or_else(|error| {
-        let smaller = |c: &&Candidate| c.orders.parameters() < best.parameters() && c.largest_pole < 1.0;
-        let mut others: Vec<&Candidate> = candidates.iter().filter(smaller).collect();
-        let value = |c: &Candidate| criterion.and_then(|by| c.value(by)).unwrap_or(f64::INFINITY);
-        others.sort_by(|a, b| value(a).total_cmp(&value(b)));
-        others.into_iter().find_map(|candidate| fit(candidate.orders).ok()).ok_or(error)
-    })
-}
-
-/// What σ of the delays adds to σ of the full models.
-fn with_delays(
-    training: &[Segment],
-    (arx, full): (Estimated, Option<Refined>),
-    estimator: Estimator,
-) -> (Estimated, Option<Refined>) {
-    let wider = |found: Estimated, estimator: Estimator| {
-        found.with_delays(training, |delayed, model| refitted(delayed, model, estimator))
-    };
-    let full = full.map(|full| Refined { estimated: wider(full.estimated, estimator), ..full });
-    (wider(arx, Estimator::Arx), full)
-}
-
-/// The same model of other data.
-fn refitted(training: &[Segment], full: &Polynomials, estimator: Estimator) -> Option<Polynomials> {
-    match estimator {
-        Estimator::Arx => Some(arx::fit(training, full.orders()).ok()?.model),
-        Estimator::OutputError => Some(output_error::nearest(training, full).ok()?.model),
-        Estimator::Instrumental => Some(instrumental::refine(training, full).ok()?.estimated.model),
-    }
-}
-
-/// The full model by another estimator than least squares, if requested.
-fn full_model(training: &[Segment], arx: &Estimated, estimator: Estimator) -> Result<Option<Refined>, IdentifyError> {
-    match estimator {
-        Estimator::Arx => Ok(None),
-        Estimator::OutputError => {
-            let initial = initial_models(training, arx.model.orders());
-            output_error::refine_from_any(training, &initial).map(Some)
-        }
-        Estimator::Instrumental => instrumental::refine(training, &arx.model).map(Some),
-    }
-}
-
-/// Covariance of the reduced model's coefficients, from that of the full model's.
-fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Option<Covariance> {
-    // With the same number of states, whatever `auto` would choose for a nearby model.
-    let same = Reduction { target: Target::Order(reduced.model.order()), ..how };
-    let parameters = |p: &[f64]| {
-        let moved = reduce(&full.model.with_parameters(p), same).ok()?.model;
-        (moved.nk == reduced.model.nk).then(|| moved.parameters().as_slice().to_vec())
-    };
-    full.covariance.propagate(full.model.parameters().as_slice(), parameters)
-}
-
-/// A reduction and what came of refining it.
-struct Attempt {
-    how: Reduction,
-    unstable_in_band: bool,
-    reduced: Result<Reduced, String>,
-    refined: Result<RefinedDelays, String>,
-}
-
-impl Attempt {
-    fn of(training: &[Segment], full: &Estimated, how: Reduction, excited: (f64, f64), delays: &[usize]) -> Self {
-        let reduced = reduce_in_band(&full.model, how);
-        let unstable_in_band = matches!(reduced, Ok((_, true)));
-        let how = if unstable_in_band { Reduction { band: None, ..how } } else { how };
-        let reduced = reduced.map(|(reduced, _)| reduced).map_err(|e| e.to_string());
-        let in_band = Reduction { band: how.band.or(Some(excited)), ..how };
-        let refined = match &reduced {
-            Ok(reduced) => refine_reduced(training, full, reduced, in_band, delays).map_err(|e| e.to_string()),
-            Err(_) => Err("there is no reduced model to begin from".to_owned()),
-        };
-        Self { how, unstable_in_band, reduced, refined }
-    }
-}
-
-/// Whether the output's noise is in its own input, as by Eq. 6.
-fn has_noise_of_output(training: &[Segment]) -> bool {
-    training.iter().any(|segment| segment.instrument.is_some())
-}
-
-/// What speaks against σ of the refined model: its errors may be those of its order, of a mean, of rows that are
-/// shifted, or of feedback, and a σ of noise would be wrong.
-#[derive(Default)]
-struct Objections {
-    model_error: Option<ModelError>,
-    left: Option<Left>,
-    higher_order: Option<usize>,
-    is_sound: bool,
-}
-
-impl Objections {
-    /// `full`: the full model; `shortest`: the shortest delay searched; `is_late`: an earlier one is better.
-    fn to(
-        refined: &Refined,
-        training: &[Segment],
-        full: &Estimated,
-        settings: &Settings,
-        shortest: usize,
-        is_late: bool,
-    ) -> Self {
-        let model_error = ModelError::of(training, full, &refined.estimated, settings.initial_state);
-        // By Eq. 6 what is left follows the input by its own noise.
-        let of_output = has_noise_of_output(training);
-        let left = if of_output { None } else { Left::of(training, &refined.estimated.model, shortest) };
-        let doubted = left
-            .is_some_and(|left| left.follows() || left.is_off_centre() || !settings.commanded && left.is_fed_back());
-        let sound = model_error.is_none() && !is_late && !doubted;
-        let higher_order = if sound && !of_output { other_orders::higher(training, refined) } else { None };
-        Self { model_error, left, higher_order, is_sound: sound && higher_order.is_none() }
-    }
-}
-
-/// Takes σ from the reduced model where the refined one differs from it by more than that allows, or has none: σ of ARX
-/// does not contain what noise of the output biases it by. Returns by how many σ, where that is known.
-fn reduced_differs(models: &mut [Modelled], excited_hz: (f64, f64)) -> Option<Differs> {
-    let refined = models.iter().find(|m| m.role == Role::Refined)?.clone();
-    let reduced = models.iter_mut().find(|m| m.role == Role::Reduced && m.covariance.is_some())?;
-    let sigmas = refined.covariance.as_ref().map(|_| {
-        // Of a band without a point, the nearest one.
-        let beside = |p: &BodePoint| (excited_hz.0 - p.frequency_hz).max(p.frequency_hz - excited_hz.1).max(0.0);
-        let least = refined.bode.iter().map(beside).fold(f64::INFINITY, f64::min);
-        let in_band = |p: &BodePoint| beside(p) <= least;
-        let both = reduced.bode.iter().zip(&refined.bode).filter(|(p, _)| in_band(p));
-        let off = both.filter_map(|(p, q)| {
-            let (gain_sd, phase_sd) = p.sd?;
-            let turn = (p.phase_rad - q.phase_rad).rem_euclid(TAU);
-            Some(((p.magnitude / q.magnitude).ln().abs() / gain_sd).max(turn.min(TAU - turn) / phase_sd))
-        });
-        off.fold(0.0, f64::max)
-    });
-    if sigmas.is_some_and(|sigmas| sigmas < DIFFERS_SD) {
-        return None;
-    }
-    reduced.forget_sigma();
-    Some(Differs { sigmas })
-}
-
-/// What came of refining.
-struct RefinedDelays {
-    refined: Refined,
-    /// Other delays that explain the data about as well.
-    others: Vec<usize>,
-    /// A delay below those searched that explains them clearly better.
-    earlier: Option<usize>,
-}
-
-/// Output error of the reduced model's orders, and other delays with which it explains the data about as well. The
-/// reduction for the excited band is often closer to the data than the requested one. The full model's delay need not
-/// be that of a model with fewer coefficients: those next to one that explains the data are tried. Of those that do
-/// about as well, noise decides which does best; the shortest is taken.
-fn refine_reduced(
-    training: &[Segment],
-    full: &Estimated,
-    reduced: &Reduced,
-    in_band: Reduction,
-    delays: &[usize],
-) -> Result<RefinedDelays, IdentifyError> {
-    let in_band = Reduction { target: Target::Order(reduced.model.order()), ..in_band };
-    let mut initial = vec![reduced.model.clone()];
-    initial.extend(reduce(&full.model, in_band).ok().map(|r| r.model));
-    initial.extend(initial_models(training, reduced.model.orders()));
-    let first = output_error::refine_from_any(training, &initial)?;
-    let mut tried = vec![first.estimated.model.nk];
-    let mut found = vec![first];
-    let again = |model: Polynomials| {
-        let mut initial = initial_models(training, model.orders());
-        initial.push(model);
-        output_error::refine_from_any(training, &initial).ok()
-    };
-    let (refined, others) = loop {
-        let by_colour = compared(training, &found);
-        let next = as_well(&by_colour).find_map(|tried_one| {
-            let here = &tried_one.refined.estimated.model;
-            let nk = delays.iter().find(|nk| nk.abs_diff(here.nk) == 1 && !tried.contains(nk))?;
-            Some(Polynomials { nk: *nk, ..here.clone() })
-        });
-        let Some(delayed) = next else {
-            let (taken, others) = shortest(&by_colour).ok_or(IdentifyError::NoneDetermined)?;
-            break (taken.refined, others);
-        };
-        tried.push(delayed.nk);
-        found.extend(again(delayed));
-    };
-    let nearest = |delayed: &[Segment], model: &Polynomials| refitted(delayed, model, Estimator::OutputError);
-    let refined = Refined { estimated: refined.estimated.with_delays(training, nearest), ..refined };
-    // A system may answer sooner than was searched.
-    let model = &refined.estimated.model;
-    let sooner = model.nk.checked_sub(1).filter(|_| delays.iter().all(|nk| *nk >= model.nk));
-    let sooner = sooner.filter(|_| follows_input::colour(training, model).is_some());
-    let earlier = sooner.and_then(|nk| {
-        let other = again(Polynomials { nk, ..model.clone() })?;
-        let both = compared(training, &[refined.clone(), other]);
-        is_better(both.last()?, both.first()?).then_some(nk)
-    });
-    Ok(RefinedDelays { refined, others, earlier })
-}
-
 /// The delays that may be chosen, rising.
 fn delays(choice: &Choice) -> Vec<usize> {
     let mut delays: Vec<usize> = match choice {
@@ -516,60 +273,6 @@ fn fit_periods(data: &Data, settings: &Settings, refined: Option<&Refined>) -> R
 fn segments_of(records: &[Record]) -> Vec<Segment> {
     let numbered = records.iter().enumerate().flat_map(|(record, r)| r.segments.iter().map(move |s| (record, s)));
     numbered.map(|(record, segment)| Segment { record, ..segment.clone() }).collect()
-}
-
-/// Largest values with which sums of squares can be computed.
-const USABLE: std::ops::Range<f64> = 1e-100..1e100;
-
-/// Input, output and the current behind the input must change: a torque of a constant current is the output's own.
-fn moves(records: &[Record]) -> Result<(), IdentifyError> {
-    let name = records.iter().map(|r| r.name.as_str()).collect::<Vec<_>>().join(", ");
-    type Signal = fn(&Segment) -> &[f64];
-    let signals: [(&'static str, Signal); 3] = [
-        ("input", |s| &s.input),
-        ("output", |s| &s.output),
-        ("coil's current", |s| s.instrument.as_deref().unwrap_or_default()),
-    ];
-    let has_current = records.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
-    for (what, signal) in signals.into_iter().take(if has_current { 3 } else { 2 }) {
-        let all = records.iter().flat_map(|r| &r.segments).flat_map(|s| signal(s).iter().copied());
-        let values = all.filter(|v| !v.is_nan());
-        let Some(first) = values.clone().next() else { return Err(IdentifyError::Nothing { name }) };
-        if values.clone().all(|v| v == first) {
-            return Err(IdentifyError::Still { name, what, value: first });
-        }
-        let largest = values.map(f64::abs).fold(0.0, f64::max);
-        if !USABLE.contains(&largest) {
-            return Err(IdentifyError::OutOfRange { name, what, largest });
-        }
-    }
-    Ok(())
-}
-
-/// Checks that the input of each record repeats, where it is said to.
-fn repeats(data: &Data, settings: &Settings) -> Result<(), IdentifyError> {
-    let Some(Repeats { every_s, skip }) = settings.repeats else { return Ok(()) };
-    for record in &data.training {
-        if let Some(unrepeated) = periodic::unrepeated(&record.segments, data.period_s, every_s, skip) {
-            let problem = unrepeated.in_words(every_s);
-            return Err(IdentifyError::NotRepeated { name: record.name.clone(), every_s, problem });
-        }
-    }
-    Ok(())
-}
-
-/// Checks that the validation data, if any, have samples that the largest model can predict.
-fn can_judge(validation: &[Segment], choice: &Choice) -> Result<(), IdentifyError> {
-    let largest = match choice {
-        Choice::Fixed(orders) => Some(orders),
-        Choice::Search { candidates, .. } => candidates.iter().max_by_key(|orders| orders.memory()),
-    };
-    match (largest, validation.iter().map(Segment::len).max()) {
-        (Some(orders), Some(longest)) if longest <= orders.memory() => {
-            Err(IdentifyError::TooShortToJudge { orders: *orders, longest })
-        }
-        _ => Ok(()),
-    }
 }
 
 /// Every model on every record: simulated from both initial states, and predicted.

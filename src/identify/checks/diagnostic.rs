@@ -8,6 +8,7 @@ use crate::identify::checks::model_error::ModelError;
 use crate::identify::checks::nonlinear::Nonlinear;
 use crate::identify::checks::outliers::Outliers;
 use crate::identify::model::polynomials::Orders;
+use crate::plural::plural;
 use std::fmt;
 
 /// Fraction of the output's energy that follows the input above which the input is the right one.
@@ -20,9 +21,13 @@ const MOST_PERCENT: f64 = 1000.0;
 const MOST_SIGMAS: f64 = 1000.0;
 
 /// A reason why the result is less reliable than it looks.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Diagnostic {
     /// A model is unstable.
+    #[error(
+        "{title}: unstable, its largest pole is {largest_pole:.5}; simulations with it run away. Choose other orders, \
+         remove trends (--detrend), or use fewer samples per second (--decimate)"
+    )]
     Unstable {
         /// The model.
         title: String,
@@ -30,6 +35,9 @@ pub enum Diagnostic {
         largest_pole: f64,
     },
     /// A model's largest pole is barely inside the unit circle.
+    #[error(
+        "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are hardly known"
+    )]
     NearlyUnstable {
         /// The model.
         title: String,
@@ -37,8 +45,19 @@ pub enum Diagnostic {
         largest_pole: f64,
     },
     /// The input changes between samples, and there is no H(s) that tells what that does to the output.
+    #[error(
+        "the commands change between frames: a model of samples takes their means as held, and its gain is too large, \
+         the more the faster they change; without a refined model whose H(s) settles this is not corrected, and there \
+         is no σ"
+    )]
     BetweenSamples,
     /// A model explains little of the data it was fitted to.
+    #[error(
+        "{title}: {}its simulation leaves {} of the energy of the data it was fitted to: {}{}",
+        if *.error_percent > 100.0 { "does not describe the data, " } else { "" }, left_over(*.error_percent),
+        .other.as_ref().map_or_else(|| why_poor(*.linear), |other| format!("use {other}, which describes them")),
+        if *.has_sigma { "" } else { "; it has no σ" }
+    )]
     Poor {
         /// The model.
         title: String,
@@ -52,6 +71,11 @@ pub enum Diagnostic {
         has_sigma: bool,
     },
     /// A record to judge by is unlike those that were fitted.
+    #[error(
+        "{record}: {title} simulates it worse than zero would ({} of the energy left), but not the data it was fitted \
+         to: are units, coil, delay and signs the same? Orders were judged by it too",
+        left_over(*.error_percent)
+    )]
     StrangeRecord {
         /// The model.
         title: String,
@@ -61,6 +85,12 @@ pub enum Diagnostic {
         error_percent: f64,
     },
     /// Coils whose currents nearly always change together.
+    #[error(
+        "the currents of {} change almost only together ({:.1} % of it apart): which of them moves the catheter is \
+         hardly known, and their responses have errors larger than they look; let each change on its own (catoptra \
+         excite multisine, with other seeds)",
+        .coils.join(" and "), 100.0 * .ratio
+    )]
     Together {
         /// The coils.
         coils: Vec<String>,
@@ -68,11 +98,16 @@ pub enum Diagnostic {
         ratio: f64,
     },
     /// The regressors are nearly dependent.
+    #[error("the regressors nearly depend on each other (condition {condition:.1e}): lower orders would do")]
     IllConditioned {
         /// Condition number.
         condition: f64,
     },
     /// The sampling is much faster than the output moves.
+    #[error(
+        "the output moves below {output_hz:.3} Hz and is sampled at {rate_hz:.1} Hz: noise then decides the \
+         coefficients of Eq. 6; --decimate {factor} keeps all that moves"
+    )]
     Oversampled {
         /// 99 % of the output's energy lie below, Hz.
         output_hz: f64,
@@ -82,6 +117,7 @@ pub enum Diagnostic {
         factor: usize,
     },
     /// The signals have a mean that the model must explain.
+    #[error("the mean of the {what} is {ratio:.1} times its spread: --detrend mean removes it")]
     OffCentre {
         /// `input` or `output`.
         what: &'static str,
@@ -89,6 +125,7 @@ pub enum Diagnostic {
         ratio: f64,
     },
     /// Outputs that are far from their neighbours.
+    #[error("{record}: {outliers}")]
     Outlying {
         /// The record.
         record: String,
@@ -96,6 +133,11 @@ pub enum Diagnostic {
         outliers: Outliers,
     },
     /// Records that the common model fits best with different factors.
+    #[error(
+        "{} would fit the common model best times {:.3}, {} times {:.3}{}: other units, another coil or amplifier \
+         range, or a response that depends on the size of the motion? Identify them one by one",
+        .records[1].0, .records[1].1, .records[0].0, .records[0].1, if *.certain { "" } else { ", by noise or not" }
+    )]
     Gains {
         /// The records that differ most, each with its factor.
         records: [(String, f64); 2],
@@ -103,6 +145,7 @@ pub enum Diagnostic {
         certain: bool,
     },
     /// An output that lies elsewhere from some moment on.
+    #[error("{record}: {jump}")]
     Jumps {
         /// The record.
         record: String,
@@ -110,6 +153,7 @@ pub enum Diagnostic {
         jump: Jump,
     },
     /// An input or output that was recorded as one value while the real one moved.
+    #[error("{record}: {frozen}")]
     Frozen {
         /// The record.
         record: String,
@@ -117,6 +161,7 @@ pub enum Diagnostic {
         frozen: Frozen,
     },
     /// An output that is larger or smaller by a factor from some moment on.
+    #[error("{record}: {change}")]
     GainChange {
         /// The record.
         record: String,
@@ -124,6 +169,7 @@ pub enum Diagnostic {
         change: GainChange,
     },
     /// The gain of a record drifts.
+    #[error("{record}: {drift}")]
     GainDrift {
         /// The record.
         record: String,
@@ -131,11 +177,13 @@ pub enum Diagnostic {
         drift: GainDrift,
     },
     /// What is told of the records leaves the refined model no σ.
+    #[error("{title}: it has no σ, since the problems reported for the records bias its coefficients")]
     OfWrongValues {
         /// Its name.
         title: String,
     },
     /// A system that is not linear.
+    #[error("{record}: {found}")]
     Nonlinear {
         /// The record.
         record: String,
@@ -143,6 +191,10 @@ pub enum Diagnostic {
         found: Nonlinear,
     },
     /// An output that stays at its limit.
+    #[error(
+        "{record}: {count} outputs are exactly {value:.6}, and none is beyond: where a scale ends the model is wrong; \
+         leave these cells empty"
+    )]
     AtLimit {
         /// The record.
         record: String,
@@ -152,6 +204,10 @@ pub enum Diagnostic {
         value: f64,
     },
     /// The system was not at rest when the record began.
+    #[error(
+        "simulated from rest the refined model leaves {from_rest:.3} % of the energy, and {from_estimated:.3} % from \
+         the state that fits best: the records do not begin at rest; use --start estimated"
+    )]
     NotAtRest {
         /// Simulation error from rest, % of the energy.
         from_rest: f64,
@@ -159,6 +215,10 @@ pub enum Diagnostic {
         from_estimated: f64,
     },
     /// A torque moves the angle against its direction.
+    #[error(
+        "{title}: at {frequency_hz:.2} Hz the angle leads the torque by {phase_deg:.0}°, so that a torque moves it the \
+         wrong way: is the sign of the current or of θ wrong?"
+    )]
     AgainstTorque {
         /// The model.
         title: String,
@@ -168,6 +228,7 @@ pub enum Diagnostic {
         frequency_hz: f64,
     },
     /// The best orders are the largest of those searched.
+    #[error("{what} {value} is the last that was searched: a better one may lie beyond, search further with {option}")]
     AtEdge {
         /// `na`, `nb` or `nk`.
         what: &'static str,
@@ -177,6 +238,10 @@ pub enum Diagnostic {
         option: &'static str,
     },
     /// The estimator failed for the best orders.
+    #[error(
+        "the estimator has no answer for the best orders (na {}, nb {}, nk {}): na {}, nb {}, nk {} are used",
+        .best.na, .best.nb, .best.nk, .used.na, .used.nb, .used.nk
+    )]
     LowerOrders {
         /// The best orders.
         best: Orders,
@@ -184,13 +249,23 @@ pub enum Diagnostic {
         used: Orders,
     },
     /// The model would be unstable if reduced for the excited band.
+    #[error("reduced for the excited band the model is unstable: it is reduced for all frequencies")]
     UnstableInBand,
     /// H(s) of the reduced model is an approximation.
+    #[error(
+        "{title}: no H(s) with a held input has this response, since a real pole of the discrete model is not \
+         positive; what is given is Tustin's approximation, for low frequencies only"
+    )]
     NotHeld {
         /// The model.
         title: String,
     },
     /// The zero of H(s) acts like a delay of less than a sample.
+    #[error(
+        "{title}: the zero of its H(s) acts like a delay of {:.1} ms, less than a sample: it may be that, and none of \
+         the system's own",
+        .delay_s * 1e3
+    )]
     DelayingZero {
         /// The model.
         title: String,
@@ -198,16 +273,30 @@ pub enum Diagnostic {
         delay_s: f64,
     },
     /// Residuals of the full model are not white.
+    #[error(
+        "residuals of the full model are not white ({} of {} lags outside the 99 % bound): its standard errors are too \
+         small, and it may be biased",
+        .outside.0, .outside.1
+    )]
     Coloured {
         /// Lags beyond the bound, and the total number.
         outside: (usize, usize),
     },
     /// Residuals of the full model are correlated with the input.
+    #[error(
+        "residuals of the full model are correlated with the input ({} of {} lags outside the 99 % bound): it leaves \
+         something unexplained",
+        .outside.0, .outside.1
+    )]
     Unexplained {
         /// Lags beyond the bound, and the total number.
         outside: (usize, usize),
     },
     /// The input carries the output's noise.
+    #[error(
+        "the input is correlated with earlier residuals ({} of {} lags outside the 99 % bound): {way}",
+        .outside.0, .outside.1
+    )]
     FedBack {
         /// Lags beyond the bound, and the total number.
         outside: (usize, usize),
@@ -215,6 +304,11 @@ pub enum Diagnostic {
         way: WayBack,
     },
     /// What the refined model leaves follows the input: it has no σ.
+    #[error(
+        "{title}: what its simulation leaves still follows the input, {times:.1} times as much as noise does at most: \
+         its order is too low, its delay not of whole samples, or the system not linear. It has no σ, since its \
+         coefficients are off by more than noise explains; raise --reduce"
+    )]
     Follows {
         /// The model.
         title: String,
@@ -222,6 +316,11 @@ pub enum Diagnostic {
         times: f64,
     },
     /// What the refined model leaves is in the input that comes after it: it has no σ.
+    #[error(
+        "{title}: what it leaves of the output is in the input that comes after, {times:.1} times as much as chance \
+         explains: the input was computed from the output. It has no σ, since feedback biases it where the noise of \
+         the output is not white, and ARX where its own residuals are not; use a record without feedback"
+    )]
     InInput {
         /// The model.
         title: String,
@@ -229,6 +328,10 @@ pub enum Diagnostic {
         times: f64,
     },
     /// What the refined model leaves has a mean or trend: it has no σ.
+    #[error(
+        "{title}: what its simulation leaves has a mean or trend, {times:.1} times as much as noise explains: it has \
+         no σ, since that biases its coefficients. --detrend mean or --detrend linear removes it"
+    )]
     Straight {
         /// The model.
         title: String,
@@ -236,6 +339,10 @@ pub enum Diagnostic {
         times: f64,
     },
     /// A lower order explains the data about as well.
+    #[error(
+        "{title}: a model of order {order} explains the data about as well: what this one has more is hardly known. \
+         --reduce {order} gives it, and a smaller σ"
+    )]
     LowerOrder {
         /// The model.
         title: String,
@@ -243,6 +350,10 @@ pub enum Diagnostic {
         order: usize,
     },
     /// A higher order explains the data clearly better: the refined model has no σ.
+    #[error(
+        "{title}: a model of order {order} explains the data better by more than noise does: this one lacks a mode. It \
+         has no σ, since its coefficients are off by that; raise --reduce"
+    )]
     HigherOrder {
         /// The model.
         title: String,
@@ -250,6 +361,7 @@ pub enum Diagnostic {
         order: usize,
     },
     /// The refined model does not confirm the reduced one, which has no σ.
+    #[error("{title}: {}", how_reduced_differs(*.sigmas))]
     ReducedDiffers {
         /// The model.
         title: String,
@@ -257,6 +369,11 @@ pub enum Diagnostic {
         sigmas: Option<f64>,
     },
     /// The output answers sooner than the shortest delay that was searched: the refined model has no σ.
+    #[error(
+        "{title}: the output seems to come before the input: nk {nk}, less than was searched, explains the data \
+         clearly better. It has no σ. Are input and output a row apart (--nk {nk} then takes them as they are), was \
+         the input computed from this output, or is the order too low (--reduce)?"
+    )]
     Sooner {
         /// The model.
         title: String,
@@ -264,6 +381,7 @@ pub enum Diagnostic {
         nk: usize,
     },
     /// The refined model's order is too low: it has no σ.
+    #[error("{title}: {error}")]
     ModelError {
         /// The model.
         title: String,
@@ -271,11 +389,16 @@ pub enum Diagnostic {
         error: ModelError,
     },
     /// There is no reduced model.
+    #[error("there is no reduced model: {why}")]
     NotReduced {
         /// Why.
         why: String,
     },
     /// The model has fewer significant states than requested.
+    #[error(
+        "reduced to order {asked}: the full model has only {} that matter{}",
+        plural(*.has, "state"), if *.has == 1 { "s, and it is kept" } else { ", and they are all kept" }
+    )]
     FewerStates {
         /// The requested order.
         asked: usize,
@@ -283,11 +406,17 @@ pub enum Diagnostic {
         has: usize,
     },
     /// There is no refined model.
+    #[error("there is no refined model: {why}")]
     NotRefined {
         /// Why.
         why: String,
     },
     /// Other delays explain the data about as well.
+    #[error(
+        "{title}: nk {} would explain the data about as well as nk {nk}, the shortest, which is taken; its numerator \
+         and σ hold for that delay. Where it is known, give it with --nk",
+        .others.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
+    )]
     OtherDelays {
         /// The model.
         title: String,
@@ -297,6 +426,7 @@ pub enum Diagnostic {
         others: Vec<usize>,
     },
     /// A search for the smallest error did not converge.
+    #[error("{title}: the search did not converge in {steps} steps")]
     NotConverged {
         /// The model.
         title: String,
@@ -304,6 +434,11 @@ pub enum Diagnostic {
         steps: usize,
     },
     /// The system has not settled when averaging begins.
+    #[error(
+        "the first period that is averaged differs from the others {off:.1} times more than noise explains: leave out \
+         more than {skipped} with --repeats T:{}",
+        .skipped + 1
+    )]
     NotSteady {
         /// Deviation of the first period, relative to noise.
         off: f64,
@@ -311,6 +446,11 @@ pub enum Diagnostic {
         skipped: usize,
     },
     /// The spectral lines contain something that model and noise do not explain.
+    #[error(
+        "what the model leaves of the periods' lines is {left:.2} times what noise explains: what repeats is not \
+         linear, or of a higher order (--reduce); {}",
+        if *.has_sigma { "σ is widened by the root of that" } else { "it has no σ, which noise would not decide" }
+    )]
     BeyondNoise {
         /// Residual relative to noise.
         left: f64,
@@ -318,6 +458,10 @@ pub enum Diagnostic {
         has_sigma: bool,
     },
     /// Many lines of a repeating input do not stand out of its noise.
+    #[error(
+        "{record}: {noisy} of {of} lines of the input do not stand out of its noise and are left out: if the input has \
+         these lines, average more periods"
+    )]
     NoisyLines {
         /// The record.
         record: String,
@@ -327,13 +471,20 @@ pub enum Diagnostic {
         of: usize,
     },
     /// Too few periods for reliable σ.
+    #[error("{periods} periods are averaged: from 7 on their noise is known well enough for the σ of H(s)")]
     FewPeriods {
         /// How many.
         periods: usize,
     },
     /// The record is too short for a frequency response without a model.
+    #[error("no stretch is long enough for a frequency response without a model; the excited band is not known")]
     NoSpectrum,
     /// Samples so far apart, or so close, that the times may have another unit.
+    #[error(
+        "samples are {} s apart: are the times {}? They are taken as seconds",
+        if *.period_s < 1e-3 { format!("{:.1e}", .period_s) } else { format!("{:.4}", .period_s) },
+        likely_unit(*.period_s)
+    )]
     OtherUnit {
         /// Seconds from sample to sample.
         period_s: f64,
@@ -377,6 +528,16 @@ fn why_poor(linear: Option<f64>) -> String {
     }
 }
 
+/// By how much the reduced model differs from the refined one, in σ, and what that means.
+fn how_reduced_differs(sigmas: Option<f64>) -> String {
+    let Some(sigmas) = sigmas else { return "it has no σ, since the refined model has none".to_owned() };
+    let up_to = if sigmas < MOST_SIGMAS { format!("up to {sigmas:.1}") } else { "many".to_owned() };
+    format!(
+        "its response differs from that of the refined model by {up_to} σ: it has no σ, which would not contain what \
+         noise of the output biases ARX by. Use the refined model"
+    )
+}
+
 /// What times are probably in that give so long a period as seconds: samples are 10 to 10,000 times a second.
 fn likely_unit(period_s: f64) -> &'static str {
     match period_s {
@@ -401,238 +562,6 @@ impl fmt::Display for WayBack {
             Self::Instrument => write!(f, "{fed_back} --estimator iv"),
             // Without an instrument the input would be its own, including the noise.
             Self::Unknown => write!(f, "{fed_back} a record without feedback"),
-        }
-    }
-}
-
-impl fmt::Display for Diagnostic {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Unstable { title, largest_pole } => write!(
-                f,
-                "{title}: unstable, its largest pole is {largest_pole:.5}; simulations with it run away. Choose other \
-                 orders, remove trends (--detrend), or use fewer samples per second (--decimate)"
-            ),
-            Self::NearlyUnstable { title, largest_pole } => {
-                write!(
-                    f,
-                    "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are \
-                     hardly known"
-                )
-            }
-            Self::BetweenSamples => f.write_str(
-                "the commands change between frames: a model of samples takes their means as held, and its gain is too \
-                 large, the more the faster they change; without a refined model whose H(s) settles this is not \
-                 corrected, and there is no σ",
-            ),
-            Self::StrangeRecord { title, record, error_percent } => write!(
-                f,
-                "{record}: {title} simulates it worse than zero would ({} of the energy left), but not the data it was \
-                 fitted to: are units, coil, delay and signs the same? Orders were judged by it too",
-                left_over(*error_percent)
-            ),
-            Self::Poor { title, error_percent, linear, other, has_sigma } => write!(
-                f,
-                "{title}: {}its simulation leaves {} of the energy of the data it was fitted to: {}{}",
-                if *error_percent > 100.0 { "does not describe the data, " } else { "" },
-                left_over(*error_percent),
-                other.as_ref().map_or_else(|| why_poor(*linear), |other| format!("use {other}, which describes them")),
-                if *has_sigma { "" } else { "; it has no σ" }
-            ),
-            Self::Together { coils, ratio } => write!(
-                f,
-                "the currents of {} change almost only together ({:.1} % of it apart): which of them moves the \
-                 catheter is hardly known, and their responses have errors larger than they look; let each change on \
-                 its own (catoptra excite multisine, with other seeds)",
-                coils.join(" and "),
-                100.0 * ratio
-            ),
-            Self::IllConditioned { condition } => {
-                write!(
-                    f,
-                    "the regressors nearly depend on each other (condition {condition:.1e}): lower orders would do"
-                )
-            }
-            Self::Oversampled { output_hz, rate_hz, factor } => write!(
-                f,
-                "the output moves below {output_hz:.3} Hz and is sampled at {rate_hz:.1} Hz: noise then decides the \
-                 coefficients of Eq. 6; --decimate {factor} keeps all that moves"
-            ),
-            Self::OffCentre { what, ratio } => {
-                write!(f, "the mean of the {what} is {ratio:.1} times its spread: --detrend mean removes it")
-            }
-            Self::Outlying { record, outliers } => write!(f, "{record}: {outliers}"),
-            Self::Gains { records: [(less, least), (more, most)], certain } => write!(
-                f,
-                "{more} would fit the common model best times {most:.3}, {less} times {least:.3}{}: other units, \
-                 another coil or amplifier range, or a response that depends on the size of the motion? Identify them \
-                 one by one",
-                if *certain { "" } else { ", by noise or not" }
-            ),
-            Self::Jumps { record, jump } => write!(f, "{record}: {jump}"),
-            Self::Frozen { record, frozen } => write!(f, "{record}: {frozen}"),
-            Self::GainChange { record, change } => write!(f, "{record}: {change}"),
-            Self::GainDrift { record, drift } => write!(f, "{record}: {drift}"),
-            Self::Nonlinear { record, found } => write!(f, "{record}: {found}"),
-            Self::OfWrongValues { title } => {
-                write!(f, "{title}: it has no σ, since the problems reported for the records bias its coefficients")
-            }
-            Self::AtLimit { record, count, value } => write!(
-                f,
-                "{record}: {count} outputs are exactly {value:.6}, and none is beyond: where a scale ends the model \
-                 is wrong; leave these cells empty"
-            ),
-            Self::NotAtRest { from_rest, from_estimated } => write!(
-                f,
-                "simulated from rest the refined model leaves {from_rest:.3} % of the energy, and {from_estimated:.3} \
-                 % from the state that fits best: the records do not begin at rest; use --start estimated"
-            ),
-            Self::AgainstTorque { title, phase_deg, frequency_hz } => write!(
-                f,
-                "{title}: at {frequency_hz:.2} Hz the angle leads the torque by {phase_deg:.0}°, so that a torque \
-                 moves it the wrong way: is the sign of the current or of θ wrong?"
-            ),
-            Self::Coloured { outside: (n, of) } => write!(
-                f,
-                "residuals of the full model are not white ({n} of {of} lags outside the 99 % bound): its standard \
-                 errors are too small, and it may be biased"
-            ),
-            Self::Unexplained { outside: (n, of) } => {
-                write!(
-                    f,
-                    "residuals of the full model are correlated with the input ({n} of {of} lags outside the 99 % \
-                     bound): it leaves something unexplained"
-                )
-            }
-            Self::FedBack { outside: (n, of), way } => write!(
-                f,
-                "the input is correlated with earlier residuals ({n} of {of} lags outside the 99 % bound): {way}"
-            ),
-            Self::Follows { title, times } => write!(
-                f,
-                "{title}: what its simulation leaves still follows the input, {times:.1} times as much as noise does \
-                 at most: its order is too low, its delay not of whole samples, or the system not linear. It has no σ, \
-                 since its coefficients are off by more than noise explains; raise --reduce"
-            ),
-            Self::InInput { title, times } => write!(
-                f,
-                "{title}: what it leaves of the output is in the input that comes after, {times:.1} times as much as \
-                 chance explains: the input was computed from the output. It has no σ, since feedback biases it where \
-                 the noise of the output is not white, and ARX where its own residuals are not; use a record without \
-                 feedback"
-            ),
-            Self::Straight { title, times } => write!(
-                f,
-                "{title}: what its simulation leaves has a mean or trend, {times:.1} times as much as noise explains: \
-                 it has no σ, since that biases its coefficients. --detrend mean or --detrend linear removes it"
-            ),
-            Self::LowerOrder { title, order } => write!(
-                f,
-                "{title}: a model of order {order} explains the data about as well: what this one has more is hardly \
-                 known. --reduce {order} gives it, and a smaller σ"
-            ),
-            Self::HigherOrder { title, order } => write!(
-                f,
-                "{title}: a model of order {order} explains the data better by more than noise does: this one lacks a \
-                 mode. It has no σ, since its coefficients are off by that; raise --reduce"
-            ),
-            Self::ReducedDiffers { title, sigmas: Some(sigmas) } => {
-                let up_to = if *sigmas < MOST_SIGMAS { format!("up to {sigmas:.1}") } else { "many".to_owned() };
-                write!(
-                    f,
-                    "{title}: its response differs from that of the refined model by {up_to} σ: it has no σ, which \
-                     would not contain what noise of the output biases ARX by. Use the refined model"
-                )
-            }
-            Self::ReducedDiffers { title, sigmas: None } => {
-                write!(f, "{title}: it has no σ, since the refined model has none")
-            }
-            Self::Sooner { title, nk } => write!(
-                f,
-                "{title}: the output seems to come before the input: nk {nk}, less than was searched, explains the \
-                 data clearly better. It has no σ. Are input and output a row apart (--nk {nk} then takes them as they \
-                 are), was the input computed from this output, or is the order too low (--reduce)?"
-            ),
-            Self::ModelError { title, error } => write!(f, "{title}: {error}"),
-            Self::AtEdge { what, value, option } => write!(
-                f,
-                "{what} {value} is the last that was searched: a better one may lie beyond, search further with \
-                 {option}"
-            ),
-            Self::LowerOrders { best, used } => write!(
-                f,
-                "the estimator has no answer for the best orders (na {}, nb {}, nk {}): na {}, nb {}, nk {} are used",
-                best.na, best.nb, best.nk, used.na, used.nb, used.nk
-            ),
-            Self::UnstableInBand => {
-                write!(f, "reduced for the excited band the model is unstable: it is reduced for all frequencies")
-            }
-            Self::NotHeld { title } => write!(
-                f,
-                "{title}: no H(s) with a held input has this response, since a real pole of the discrete model is not \
-                 positive; what is given is Tustin's approximation, for low frequencies only"
-            ),
-            Self::DelayingZero { title, delay_s } => write!(
-                f,
-                "{title}: the zero of its H(s) acts like a delay of {:.1} ms, less than a sample: it may be that, and \
-                 none of the system's own",
-                delay_s * 1e3
-            ),
-            Self::NotReduced { why } => write!(f, "there is no reduced model: {why}"),
-            Self::FewerStates { asked, has: 1 } => {
-                write!(f, "reduced to order {asked}: the full model has only 1 state that matters, and it is kept")
-            }
-            Self::FewerStates { asked, has } => write!(
-                f,
-                "reduced to order {asked}: the full model has only {has} states that matter, and they are all kept"
-            ),
-            Self::NotRefined { why } => write!(f, "there is no refined model: {why}"),
-            Self::OtherDelays { title, nk, others } => write!(
-                f,
-                "{title}: nk {} would explain the data about as well as nk {nk}, the shortest, which is taken; its \
-                 numerator and σ hold for that delay. Where it is known, give it with --nk",
-                others.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
-            ),
-            Self::NotConverged { title, steps } => write!(f, "{title}: the search did not converge in {steps} steps"),
-            Self::NotSteady { off, skipped } => write!(
-                f,
-                "the first period that is averaged differs from the others {off:.1} times more than noise explains: \
-                 leave out more than {skipped} with --repeats T:{}",
-                skipped + 1
-            ),
-            Self::BeyondNoise { left, has_sigma } => write!(
-                f,
-                "what the model leaves of the periods' lines is {left:.2} times what noise explains: what repeats is \
-                 not linear, or of a higher order (--reduce); {}",
-                if *has_sigma {
-                    "σ is widened by the root of that"
-                } else {
-                    "it has no σ, which noise would not decide"
-                }
-            ),
-            Self::NoisyLines { record, noisy, of } => write!(
-                f,
-                "{record}: {noisy} of {of} lines of the input do not stand out of its noise and are left out: if the \
-                 input has these lines, average more periods"
-            ),
-            Self::FewPeriods { periods } => {
-                write!(
-                    f,
-                    "{periods} periods are averaged: from 7 on their noise is known well enough for the σ of H(s)"
-                )
-            }
-            Self::OtherUnit { period_s } => write!(
-                f,
-                "samples are {} s apart: are the times {}? They are taken as seconds",
-                if *period_s < 1e-3 { format!("{period_s:.1e}") } else { format!("{period_s:.4}") },
-                likely_unit(*period_s)
-            ),
-            Self::NoSpectrum => {
-                write!(
-                    f,
-                    "no stretch is long enough for a frequency response without a model; the excited band is not known"
-                )
-            }
         }
     }
 }

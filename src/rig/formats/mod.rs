@@ -197,9 +197,3 @@ fn list(values: &[f64]) -> String {
     let shown = values.iter().map(|v| if v.fract() == 0.0 { format!("{v:.1}") } else { v.to_string() });
     shown.collect::<Vec<_>>().join(", ")
 }
-
-/// The camera matrix, row-major.
-fn matrix(lens: &Lens) -> [f64; 9] {
-    let (f, c) = (lens.focal_px, lens.principal_point_px);
-    [f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0]
-}

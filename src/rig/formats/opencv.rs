@@ -1,7 +1,7 @@
 //! YAML of OpenCV's `FileStorage`, with the names that `samples/cpp/calibration.cpp` writes.
 
 use super::yaml::Node;
-use super::{from_matrices, list, matrix};
+use super::{from_matrices, list};
 use crate::rig::{Camera, RigError};
 
 pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
@@ -24,7 +24,7 @@ pub(super) fn write(camera: &Camera) -> String {
     };
     format!(
         "%YAML:1.0\n---\nimage_width: {width}\nimage_height: {height}\ncamera_matrix:{}distortion_coefficients:{}",
-        matrix_of(3, &matrix(&camera.lens)),
+        matrix_of(3, &camera.lens.matrix()),
         matrix_of(camera.lens.coefficients().len(), &camera.lens.coefficients()),
     )
 }

@@ -2,7 +2,7 @@
 //! `width`).
 
 use super::yaml::Node;
-use super::{from_matrices, list, matrix};
+use super::{from_matrices, list};
 use crate::rig::{Camera, RigError};
 
 pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
@@ -28,17 +28,16 @@ pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
 pub(super) fn write(camera: &Camera) -> String {
     let [width, height] = camera.size_px;
     let lens = &camera.lens;
-    let (f, c) = (lens.focal_px, lens.principal_point_px);
     let block = |name: &str, rows: usize, values: &[f64]| {
         format!("{name}:\n  rows: {rows}\n  cols: {}\n  data: [{}]\n", values.len() / rows, list(values))
     };
     [
         format!("image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"),
-        block("camera_matrix", 3, &matrix(lens)),
-        format!("distortion_model: {}\n", if lens.is_rational() { "rational_polynomial" } else { "plumb_bob" }),
+        block("camera_matrix", 3, &lens.matrix()),
+        format!("distortion_model: {}\n", lens.ros_name()),
         block("distortion_coefficients", 1, &lens.coefficients()),
         block("rectification_matrix", 3, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
-        block("projection_matrix", 3, &[f.x, 0.0, c.x, 0.0, 0.0, f.y, c.y, 0.0, 0.0, 0.0, 1.0, 0.0]),
+        block("projection_matrix", 3, &lens.projection_matrix()),
     ]
     .concat()
 }

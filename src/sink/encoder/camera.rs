@@ -25,18 +25,18 @@ const LABEL_BACKGROUND: Color = Color { r: 0.0, g: 0.0, b: 0.0, a: 0.6 };
 /// Intrinsics as `plumb_bob`, whose five parameters are the lens's own, or as `rational_polynomial` with eight. As in
 /// ROS, the principal point counts from the centre of the top-left pixel.
 pub(super) fn calibration(camera: &Camera, stamp_ns: i64) -> CameraCalibration {
-    let (f, c) = (camera.lens.focal_px, camera.lens.principal_point_px);
+    let lens = &camera.lens;
     let [width, height] = camera.size_px;
     CameraCalibration {
         timestamp: Some(timestamp(stamp_ns)),
         frame_id: CAMERA_FRAME.to_owned(),
         width,
         height,
-        distortion_model: if camera.lens.is_rational() { "rational_polynomial" } else { "plumb_bob" }.to_owned(),
-        d: camera.lens.coefficients(),
-        k: vec![f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0],
+        distortion_model: lens.ros_name().to_owned(),
+        d: lens.coefficients(),
+        k: lens.matrix().to_vec(),
         r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p: vec![f.x, 0.0, c.x, 0.0, 0.0, f.y, c.y, 0.0, 0.0, 0.0, 1.0, 0.0],
+        p: lens.projection_matrix().to_vec(),
     }
 }
 

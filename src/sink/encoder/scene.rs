@@ -10,7 +10,7 @@ use foxglove::messages::{
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 pub(super) const CAMERA_FRAME: &str = "camera";
-pub(super) const BASE_FRAME: &str = "base";
+const BASE_FRAME: &str = "base";
 
 /// Bands are drawn this much thicker than the tube, to be visible on it.
 const BAND_OVER_TUBE: f64 = 1.3;

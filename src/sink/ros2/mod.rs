@@ -193,17 +193,16 @@ impl RosEncoder {
     /// As [`RosEncoder::rig`].
     pub(crate) fn camera_info(&self, stamp_ns: i64) -> Result<RosMessage, SinkError> {
         let lens = &self.camera.lens;
-        let (f, c) = (lens.focal_px, lens.principal_point_px);
         let [width, height] = self.camera.size_px;
         let info = CameraInfo {
             header: header(stamp_ns, OPTICAL_FRAME)?,
             height,
             width,
-            distortion_model: if lens.is_rational() { "rational_polynomial" } else { "plumb_bob" }.to_owned(),
+            distortion_model: lens.ros_name().to_owned(),
             d: lens.coefficients(),
-            k: [f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0],
+            k: lens.matrix(),
             r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-            p: [f.x, 0.0, c.x, 0.0, 0.0, f.y, c.y, 0.0, 0.0, 0.0, 1.0, 0.0],
+            p: lens.projection_matrix(),
             binning_x: 0,
             binning_y: 0,
             roi: RegionOfInterest::default(),

@@ -4,13 +4,15 @@ import {
   ask,
   askPicture,
   bitmap,
-  choose,
+  button,
   complain,
   css,
   el,
+  fileRow,
   fill,
   latest,
   onPage,
+  opener,
   overPicture,
   say,
   showSaved,
@@ -149,11 +151,7 @@ export class Calibrate {
     this.cover = el("div", { class: "closer cover" });
     this.shown = el("pre", { id: "rigcommand" }, "");
     this.result = el("div", { id: "rigresult", "aria-live": "polite" });
-    this.saveButton = el(
-      "button",
-      { type: "button", class: "main", id: "rigsave", onclick: () => this.save() },
-      "Calibrate and save",
-    );
+    this.saveButton = button("Calibrate and save", () => this.save(), { class: "main", id: "rigsave" });
     this.command = latest(() => this.showCommand());
     const files = el("input", {
       type: "file",
@@ -179,12 +177,8 @@ export class Calibrate {
           el(
             "div",
             { class: "row" },
-            el(
-              "button",
-              { type: "button", class: "main", id: "takepicture", onclick: () => this.takePicture().catch(complain) },
-              "Take a picture",
-            ),
-            el("button", { type: "button", onclick: () => this.watch() }, "Show the camera"),
+            button("Take a picture", () => this.takePicture().catch(complain), { class: "main", id: "takepicture" }),
+            button("Show the camera", () => this.watch()),
           ),
           el(
             "label",
@@ -212,25 +206,15 @@ export class Calibrate {
       el(
         "section",
         {},
-        el(
-          "div",
-          { class: "row" },
-          el("b", {}, "Rig"),
+        fileRow(
+          "Rig",
           this.rigName,
-          el(
-            "button",
-            {
-              type: "button",
-              onclick: () =>
-                choose("Rig files", ["rig"], (path) => {
-                  this.rig = path;
-                  this.rigName.textContent = path;
-                  this.out.value = path;
-                  this.changed();
-                }),
-            },
-            "Open …",
-          ),
+          opener("Rig files", ["rig"], async (path) => {
+            this.rig = path;
+            this.rigName.textContent = path;
+            this.out.value = path;
+            this.changed();
+          }),
         ),
         field("board", "Board", this.board),
         field("mirrors", "Mirrors", this.mirrors),
@@ -247,11 +231,7 @@ export class Calibrate {
         el("h2", {}, "Pictures"),
         el("div", { class: "row" }, el("label", { for: "files" }, "Add", files)),
         field("folder", "kept in", this.folder),
-        el(
-          "button",
-          { type: "button", id: "usefolder", onclick: () => this.useFolder().catch(complain) },
-          "Use the pictures in this folder",
-        ),
+        button("Use the pictures in this folder", () => this.useFolder().catch(complain), { id: "usefolder" }),
         this.list,
       ),
       el(
@@ -393,11 +373,10 @@ export class Calibrate {
               this.command();
             },
           }),
-          el(
-            "button",
-            { type: "button", class: "grow", "aria-pressed": String(i === this.chosen), onclick: () => this.go(i) },
-            picture.path.split("/").at(-1),
-          ),
+          button(picture.path.split("/").at(-1), () => this.go(i), {
+            class: "grow",
+            "aria-pressed": String(i === this.chosen),
+          }),
           el("span", { class: picture.found?.error ? "bad grow" : "quiet" }, what),
         );
       }),

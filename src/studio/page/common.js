@@ -67,6 +67,15 @@ export function el(tag, props = {}, ...children) {
   return element;
 }
 
+export const button = (text, does, props = {}) => el("button", { type: "button", onclick: does, ...props }, text);
+
+/** A button that opens another file of these kinds. */
+export const opener = (title, kinds, open) =>
+  button("Open …", () => choose(title, kinds, (path) => open(path).catch(complain)));
+
+/** Which file is open, and buttons to open another. */
+export const fileRow = (what, name, ...buttons) => el("div", { class: "row" }, el("b", {}, what), name, buttons);
+
 /** Puts these into an element, in place of what was there. */
 export function fill(element, ...children) {
   element.replaceChildren(
@@ -169,7 +178,7 @@ export function redrawer(draw, ...elements) {
 }
 
 /** Lets a person choose a file of these kinds below the starting folder. */
-export function choose(title, kinds, chosen) {
+function choose(title, kinds, chosen) {
   const dialog = document.getElementById("dialog");
   const show = async (folder) => {
     let listed;
@@ -185,10 +194,7 @@ export function choose(title, kinds, chosen) {
       return chosen(entry.path);
     };
     const wanted = listed.entries.filter((entry) => entry.kind === "folder" || kinds.includes(entry.kind));
-    const up =
-      listed.folder === "."
-        ? null
-        : el("button", { type: "button", onclick: () => show(`${listed.folder}/..`) }, "↑ the folder above");
+    const up = listed.folder === "." ? null : button("↑ the folder above", () => show(`${listed.folder}/..`));
     fill(
       dialog,
       el("h2", {}, `${title} in ${listed.folder}`),
@@ -196,16 +202,10 @@ export function choose(title, kinds, chosen) {
         "div",
         { class: "entries" },
         up,
-        wanted.map((entry) =>
-          el(
-            "button",
-            { type: "button", onclick: () => enter(entry) },
-            entry.kind === "folder" ? `${entry.name}/` : entry.name,
-          ),
-        ),
+        wanted.map((entry) => button(entry.kind === "folder" ? `${entry.name}/` : entry.name, () => enter(entry))),
       ),
       wanted.length ? null : el("p", { class: "quiet" }, "Nothing of that kind is here."),
-      el("button", { type: "button", onclick: () => dialog.close() }, "Cancel"),
+      button("Cancel", () => dialog.close()),
     );
     if (!dialog.open) dialog.showModal();
   };

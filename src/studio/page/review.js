@@ -3,13 +3,15 @@
 import {
   ask,
   askPicture,
-  choose,
+  button,
   complain,
   css,
   el,
+  fileRow,
   fill,
   latest,
   onPage,
+  opener,
   overPicture,
   say,
   swatch,
@@ -48,7 +50,6 @@ export class Review {
   }
 
   build() {
-    const button = (text, does) => el("button", { type: "button", onclick: does }, text);
     this.name = el("span", { class: "mono grow" }, this.path ?? "none");
     this.otherName = el("span", { class: "mono grow quiet" }, "none");
     this.slider = el("input", {
@@ -60,7 +61,7 @@ export class Review {
       oninput: () => this.go(Number(this.slider.value)),
     });
     this.at = el("span", { class: "mono" }, "");
-    this.playButton = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.play() }, "Play");
+    this.playButton = button("Play", () => this.play(), { "aria-pressed": "false" });
     this.legend = el("div", { class: "legend" });
     this.words = el("div", { id: "frame" });
     this.list = el("div", { id: "vetoes" });
@@ -104,19 +105,11 @@ export class Review {
       el(
         "section",
         {},
-        el(
-          "div",
-          { class: "row" },
-          el("b", {}, "Run"),
-          this.name,
-          button("Open …", () => choose("Runs", ["run"], (path) => this.open(path).catch(complain))),
-        ),
-        el(
-          "div",
-          { class: "row" },
-          el("b", {}, "Compare"),
+        fileRow("Run", this.name, opener("Runs", ["run"], (path) => this.open(path))),
+        fileRow(
+          "Compare",
           this.otherName,
-          button("Open …", () => choose("Runs", ["run"], (path) => this.compare(path).catch(complain))),
+          opener("Runs", ["run"], (path) => this.compare(path)),
           button("None", () => this.compare(null).catch(complain)),
         ),
         this.missing,

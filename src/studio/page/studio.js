@@ -1,6 +1,6 @@
 // The page: which views there are, and the keys that hold in all of them.
 
-import { ask, complain, el, fill, isTyping, say } from "./common.js";
+import { ask, button, complain, el, fill, isTyping, say } from "./common.js";
 import { Teach } from "./teach.js";
 import { Calibrate } from "./calibrate.js";
 import { Review } from "./review.js";
@@ -10,9 +10,9 @@ const main = document.getElementById("main");
 const tabs = document.getElementById("tabs");
 let shown = null;
 
-function show(view, button) {
+function show(view, own) {
   shown?.leave?.();
-  for (const tab of tabs.children) tab.setAttribute("aria-selected", String(tab === button));
+  for (const tab of tabs.children) tab.setAttribute("aria-selected", String(tab === own));
   shown = view;
   main.replaceChildren(view.element);
   view.enter?.();
@@ -43,7 +43,7 @@ function help() {
       {},
       KEYS.map(([key, does]) => el("tr", {}, el("td", {}, el("kbd", {}, key)), el("td", {}, does))),
     ),
-    el("p", {}, el("button", { type: "button", onclick: () => dialog.close() }, "Close")),
+    el("p", {}, button("Close", () => dialog.close())),
   );
   dialog.showModal();
 }
@@ -66,9 +66,8 @@ try {
         ["Review", new Review(state)],
       ];
   const buttons = views.map(([name, view]) => {
-    const button = el("button", { type: "button", role: "tab", "aria-selected": "false" }, name);
-    button.addEventListener("click", () => show(view, button));
-    return button;
+    const tab = button(name, () => show(view, tab), { role: "tab", "aria-selected": "false" });
+    return tab;
   });
   fill(tabs, ...buttons);
   // A rig without a recording is one that is being made.

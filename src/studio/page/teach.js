@@ -3,12 +3,14 @@
 import {
   ask,
   askPicture,
-  choose,
+  button,
   complain,
   el,
+  fileRow,
   fill,
   latest,
   onPage,
+  opener,
   overPicture,
   say,
   showSaved,
@@ -84,12 +86,6 @@ export class Teach {
   }
 
   build() {
-    const opener = (title, kinds, open) =>
-      el(
-        "button",
-        { type: "button", onclick: () => choose(title, kinds, (path) => open(path).catch(complain)) },
-        "Open …",
-      );
     this.names = {
       recording: el("span", { class: "mono grow" }, this.recording ?? "none"),
       rig: el("span", { class: "mono grow" }, this.rig ?? "none"),
@@ -104,8 +100,8 @@ export class Teach {
     });
     this.at = el("span", { class: "mono", id: "at" }, "");
     const jump = (by, text, name) =>
-      el("button", { type: "button", "aria-label": name, onclick: () => this.go(this.frame + by) }, text);
-    this.playButton = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.play() }, "Play");
+      button(text, () => this.go(this.frame + by), { "aria-label": name });
+    this.playButton = button("Play", () => this.play(), { "aria-pressed": "false" });
     this.viewChoice = el("select", { id: "view", onchange: () => (this.view = this.viewChoice.value) });
     this.maskBox = el("input", {
       type: "checkbox",
@@ -170,11 +166,7 @@ export class Teach {
       spellcheck: false,
       oninput: () => this.command(),
     });
-    this.saveButton = el(
-      "button",
-      { type: "button", class: "main", id: "save", onclick: () => this.save() },
-      "Learn and save",
-    );
+    this.saveButton = button("Learn and save", () => this.save(), { class: "main", id: "save" });
     this.shown = el("pre", { id: "command" }, "");
     this.result = el("div", { id: "result", "aria-live": "polite" });
     const left = el(
@@ -202,16 +194,10 @@ export class Teach {
           el("label", { for: "view" }, "Clicks are in view", this.viewChoice),
           el("label", {}, this.maskBox, "masks"),
           el("label", {}, this.regionBox, "regions (drag corners)"),
-          el(
-            "button",
-            {
-              type: "button",
-              onclick: () =>
-                this.stage.zoomAt(this.stage.cross ?? this.stage.middle ?? this.size.map((v) => v / 2), 1.6),
-            },
-            "zoom in",
+          button("zoom in", () =>
+            this.stage.zoomAt(this.stage.cross ?? this.stage.middle ?? this.size.map((v) => v / 2), 1.6),
           ),
-          el("button", { type: "button", onclick: () => this.stage.reset() }, "whole picture"),
+          button("whole picture", () => this.stage.reset()),
         ),
       ),
     );
@@ -221,20 +207,12 @@ export class Teach {
       el(
         "section",
         {},
-        el(
-          "div",
-          { class: "row" },
-          el("b", {}, "Recording"),
+        fileRow(
+          "Recording",
           this.names.recording,
           opener("Recordings", ["recording"], (path) => this.openRecording(path)),
         ),
-        el(
-          "div",
-          { class: "row" },
-          el("b", {}, "Rig"),
-          this.names.rig,
-          opener("Rig files", ["rig"], (path) => this.openRig(path)),
-        ),
+        fileRow("Rig", this.names.rig, opener("Rig files", ["rig"], (path) => this.openRig(path))),
       ),
       el(
         "section",
@@ -244,8 +222,8 @@ export class Teach {
         el(
           "div",
           { class: "row" },
-          el("button", { type: "button", onclick: () => this.addBand() }, "Add a band"),
-          el("button", { type: "button", onclick: () => this.clear() }, "Clear all picks"),
+          button("Add a band", () => this.addBand()),
+          button("Clear all picks", () => this.clear()),
         ),
         el(
           "div",
@@ -635,21 +613,15 @@ export class Teach {
         state();
         this.states.push(state);
         const tool = (text, name, does) =>
-          el("button", { type: "button", "aria-label": `${name} ${band.name}`, title: name, onclick: does }, text);
+          button(text, does, { "aria-label": `${name} ${band.name}`, title: name });
         return el(
           "div",
           { class: i === this.now ? "band now" : "band" },
-          el(
-            "button",
-            {
-              type: "button",
-              class: "number",
-              "aria-pressed": String(i === this.now),
-              "aria-label": `pick ${band.name}`,
-              onclick: () => this.select(i),
-            },
-            String(i + 1),
-          ),
+          button(String(i + 1), () => this.select(i), {
+            class: "number",
+            "aria-pressed": String(i === this.now),
+            "aria-label": `pick ${band.name}`,
+          }),
           el("input", {
             value: band.name,
             "aria-label": `name of band ${i + 1}`,
@@ -788,7 +760,7 @@ export class Teach {
           {},
           `A smaller region of ${region.view}, which must still hold the whole motion, ` +
             `leaves out ${region.leaves_out} of them. `,
-          el("button", { type: "button", onclick: () => this.setRegion(region.view, corners) }, "Take it"),
+          button("Take it", () => this.setRegion(region.view, corners)),
         ),
       );
     }
@@ -857,20 +829,13 @@ export class Teach {
           { class: "row" },
           el("b", {}, view.name),
           input,
-          corners.length ? null : el("button", { type: "button", onclick: draw }, "Draw"),
+          corners.length ? null : button("Draw", draw),
           this.regions.has(view.name)
-            ? el(
-                "button",
-                {
-                  type: "button",
-                  onclick: () => {
-                    this.regions.delete(view.name);
-                    this.listRegions();
-                    this.changed();
-                  },
-                },
-                "As it was",
-              )
+            ? button("As it was", () => {
+                this.regions.delete(view.name);
+                this.listRegions();
+                this.changed();
+              })
             : null,
         );
       }),

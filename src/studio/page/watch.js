@@ -1,6 +1,6 @@
 // A live run.
 
-import { ask, bitmap, complain, css, el, fill, onPage, overPicture, say, swatch } from "./common.js";
+import { ask, bitmap, button, complain, css, el, fill, onPage, overPicture, say, swatch } from "./common.js";
 import { Plot, lostBars } from "./plot.js";
 import { Stage, label, outline } from "./stage.js";
 
@@ -41,17 +41,9 @@ export class Watch {
     this.big = el("div", { class: "big", id: "theta" }, "θ –");
     this.figures = el("div", { class: "figures" });
     this.alarms = el("div", { id: "alarms", "aria-live": "assertive" });
-    this.pause = el(
-      "button",
-      { type: "button", "aria-pressed": "false", onclick: () => this.hold() },
-      "Hold the picture",
-    );
+    this.pause = button("Hold the picture", () => this.hold(), { "aria-pressed": "false" });
     const { source, folder, hows } = this.live;
-    this.record = el(
-      "button",
-      { type: "button", id: "record", "aria-pressed": "false", onclick: () => this.turn() },
-      "Record pictures",
-    );
+    this.record = button("Record pictures", () => this.turn(), { id: "record", "aria-pressed": "false" });
     const how = {
       windows: "parts around the bands, into the log",
       ffv1: "whole, without loss (large)",
@@ -133,7 +125,7 @@ export class Watch {
 
   /** Whether the run can be told what to do. */
   reachable(yes) {
-    for (const button of [this.record, this.pause]) button.disabled = !yes;
+    for (const either of [this.record, this.pause]) either.disabled = !yes;
     this.how.disabled = !yes || Boolean(this.recording?.on);
   }
 

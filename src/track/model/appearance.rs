@@ -96,7 +96,7 @@ pub(in crate::track) const HARMONICS: usize = 4;
 pub(in crate::track) const TURNING: usize = SHADING + HARMONICS;
 pub(in crate::track) const SHADES: usize = HARMONICS + 2;
 pub(in crate::track) const CAP: usize = SHADING + SHADES;
-pub(super) const FIXED: usize = CAP + 1;
+const FIXED: usize = CAP + 1;
 pub(in crate::track) const PER_SEGMENT: usize = 3;
 
 /// Where the colour of a segment begins among them.

@@ -82,7 +82,7 @@ impl ModelError {
         persisting: 0.0,
     };
     /// For pictures whose coder says how coarsely it quantised ([`coder_variance`] has the rest).
-    pub(super) const QUANTISED: Self = Self {
+    const QUANTISED: Self = Self {
         across_px: 0.027,
         along_px: 0.027,
         turn_px: 0.035,

@@ -8,7 +8,7 @@ use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Vector2, Vector3};
 
 /// Number of local quantities that change with the shape: position across the axis, position along it, bulge of the
 /// rings.
-pub(super) const LOCAL: usize = 3;
+const LOCAL: usize = 3;
 
 /// Image of one point of the centre line.
 #[derive(Debug, Clone)]

@@ -17,7 +17,7 @@ const REACH_PX: f64 = 5.5;
 /// Distance from the click that about halves a place's score, pixels.
 const CLOSE_PX: f64 = 5.0;
 /// Score of something that hardly looks like a band, and the fraction of the best score that a candidate needs.
-pub(crate) const MIN_SCORE: f64 = 1.2;
+const MIN_SCORE: f64 = 1.2;
 const SHARE: f64 = 0.4;
 /// Most places kept for a click, and for a band.
 const MAX_MATCHES: usize = 6;
