@@ -13,6 +13,8 @@ use nalgebra::{Point3, Unit, Vector3};
 pub struct Sighting {
     /// When, seconds on the clock of the commands.
     pub time_s: f64,
+    /// Middle of the base band, or the clamp, metres. Nothing is fitted to it.
+    pub base: Option<Point3<f64>>,
     /// Middle of the coil set, metres.
     pub coil: Option<Point3<f64>>,
     /// The tip, metres: end of the tube, or middle of its band ([`Catheter::tip_m`]).
@@ -69,14 +71,21 @@ pub fn seen(moments: &[Moment], noise: Noise, seed: u64) -> Vec<Sighting> {
     let mut spread = fastrand::Rng::with_seed(seed);
     let mut random = fastrand::Rng::with_seed(spread.u64(..));
     let mut gone = fastrand::Rng::with_seed(spread.u64(..));
+    let mut of_base = fastrand::Rng::with_seed(spread.u64(..));
     let mut look = |moment: &Moment| {
         let mut vector = || Vector3::from_fn(|_, _| normal(&mut random));
         let (coil, tip) = (moment.coil + vector() * noise.point_m, moment.tip + vector() * noise.point_m);
         let aside = vector() * noise.angle_rad;
         let tangent = Unit::new_normalize(moment.tangent + aside - moment.tangent * moment.tangent.dot(&aside));
+        let base = match moment.base {
+            // Without a band it is the clamp, from which places are counted.
+            clamp if clamp == Point3::origin() => clamp,
+            band => band + Vector3::from_fn(|_, _| normal(&mut of_base)) * noise.point_m,
+        };
         let there = gone.f64() >= noise.missing;
         Sighting {
             time_s: moment.time_s,
+            base: there.then_some(base),
             coil: there.then_some(coil),
             tip: there.then_some(tip),
             tangent: there.then_some(tangent.into_inner()),

@@ -52,6 +52,13 @@ fn with_clear_unit(text: &str, s: f64) -> Result<f64, String> {
     }
 }
 
+/// A part of some frames in percent, from 0 to 90; returned as a part of 1.
+pub(super) fn part_of_frames(text: &str) -> Result<f64, String> {
+    let value = with_unit(text, &[("%", 1e-2), ("", 1e-2)]);
+    let part = value.filter(|part| (0.0..=0.9).contains(part));
+    part.ok_or_else(|| format!("`{text}` is not a part of the frames from 0 to 90 percent: write for example 5%"))
+}
+
 /// A time in seconds, or none: 0.
 pub(super) fn duration_or_none_s(text: &str) -> Result<f64, String> {
     if matches!(text.trim(), "0" | "0s" | "0ms") { Ok(0.0) } else { duration_s(text) }

@@ -8,7 +8,7 @@ pub struct Timing {
     /// Frames per second.
     pub rate_hz: f64,
     /// Standard deviation of an exposure's time about its place in the row, seconds. None is off by more than 2.1 of
-    /// them, nor by 0.4 intervals: a standard deviation beyond 0.19 intervals is not reached.
+    /// them, nor by 0.4 intervals.
     pub jitter_s: f64,
     /// Part of the frames that are lost, 0 to 1.
     pub lost: f64,
@@ -18,6 +18,8 @@ pub struct Timing {
 
 /// Where a normal distribution is cut, and the standard deviation that is left, √(2Φ(2) − 1 − 4φ(2) + 8(1 − Φ(2))).
 const CUT: (f64, f64) = (2.0, 0.959_446);
+/// Farthest from its place that a frame is, as a part of the interval: times rise.
+const MOST: f64 = 0.4;
 
 /// When a frame that was not lost is exposed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,14 +31,18 @@ pub struct Stamp {
 }
 
 impl Timing {
+    /// The largest jitter that is reached, seconds: beyond it frames would have to come closer than they may.
+    pub fn most_jitter_s(&self) -> f64 {
+        MOST / self.rate_hz * CUT.1 / CUT.0
+    }
+
     /// The stamps of so many frames, lost ones among them. The first is not lost: time 0 is its own.
     pub fn stamps(self, frames: u64) -> impl Iterator<Item = Stamp> {
         let mut random = fastrand::Rng::with_seed(self.seed ^ 0x7469_6d65);
         let mut gap = 0;
         (0..frames).filter_map(move |k| {
             let normal = normal(&mut random);
-            // Never as much as half the interval: times rise.
-            let most_s = 0.4 / self.rate_hz;
+            let most_s = MOST / self.rate_hz;
             let off_s = (self.jitter_s * normal.clamp(-CUT.0, CUT.0) / CUT.1).clamp(-most_s, most_s);
             let lost = random.f64() < self.lost && k > 0;
             if lost {

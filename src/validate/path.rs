@@ -13,6 +13,8 @@ const DIRECTION: [&str; 3] = ["tan_x", "tan_y", "tan_z"];
 const M_PER_MM: f64 = 1e-3;
 /// More than an hour at 1 ms.
 const MAX_COMMANDS: usize = 4_000_000;
+/// Fewest points of a period.
+const LEAST_POINTS: usize = 3;
 /// Points of one period and the next count as equal if they are closer than this, metres.
 const SAME_M: f64 = 1e-6;
 /// A last point closer to the first than this fraction of the next step repeats it.
@@ -33,6 +35,8 @@ pub(crate) struct DesiredPath {
     pub tangents: Option<Vec<Vector3<f64>>>,
     /// How often it is commanded.
     pub periods: usize,
+    /// Whether its file holds as many periods, which was found and not given.
+    pub is_repetition: bool,
     /// The plane nearest to it.
     pub plane: Plane,
     /// The circle in that plane, if the path is a circle.
@@ -42,8 +46,8 @@ pub(crate) struct DesiredPath {
 impl DesiredPath {
     /// Reads columns `x_mm`, `y_mm`, `z_mm` (base frame) and, if they are there, `tan_x`, `tan_y`, `tan_z`.
     ///
-    /// The rows are one period, commanded `periods` times (4 as in the paper, if not given). With `per_period` the file
-    /// may hold several periods, which must be alike; it is then commanded as given.
+    /// The rows are one period, commanded `periods` times (4 as in the paper, if not given), or several alike, which are
+    /// then commanded as given. A period is `per_period` rows, or else as few as repeat throughout the file.
     ///
     /// # Errors
     /// When the file cannot be read, a value is missing, there are fewer than 3 points, they lie on a line, or periods
@@ -64,18 +68,15 @@ impl DesiredPath {
         };
         let mut tangents = directions.map(unit).transpose()?;
         let rows = points.len();
-        let length = per_period.unwrap_or(rows);
-        if length < 3 {
+        let length = per_period.unwrap_or_else(|| repeating(&points));
+        if length < LEAST_POINTS {
             return Err(wrong(format!("has {} per period; a path needs 3 or more", plural(length, "point"))));
         }
         if rows < length || !rows.is_multiple_of(length) {
             return Err(wrong(format!("has {rows} rows, which is not a multiple of {length} points per period")));
         }
         let in_file = rows / length;
-        if let Some(k) = (length..rows).find(|k| match (points.get(*k), points.get(k % length)) {
-            (Some(a), Some(b)) => (a - b).norm() > SAME_M,
-            _ => false,
-        }) {
+        if let Some(k) = unlike_the_first(&points, length) {
             let first = k % length + 1;
             return Err(wrong(format!(
                 "point {} is not where point {first} is: the period is not {length} points",
@@ -88,7 +89,8 @@ impl DesiredPath {
             (several, Some(asked)) if several == asked => several,
             (several, Some(asked)) => {
                 return Err(wrong(format!(
-                    "holds {several} periods of {length} points, and {asked} periods are asked for"
+                    "holds {several} periods of {length} points, and {asked} periods are asked for; \
+                     --points-per-period says how many rows are one"
                 )));
             }
         };
@@ -106,12 +108,20 @@ impl DesiredPath {
             wrong("its points lie on a line or are all the same: a turn about it would be open".to_owned())
         })?;
         let circle = circle(&points, &plane);
-        Ok(Self { file: file.to_owned(), points, tangents, periods, plane, circle })
+        let is_repetition = in_file > 1 && per_period.is_none();
+        Ok(Self { file: file.to_owned(), points, tangents, periods, is_repetition, plane, circle })
     }
 
-    /// What to say of a path whose last point is its first: the file of a closed curve, which is one command longer
-    /// than its period.
+    /// What to say of a file that holds several periods, and of a path whose last point is its first: the file of a
+    /// closed curve, which is one command longer than its period.
     pub(crate) fn note(&self) -> Option<String> {
+        if self.is_repetition {
+            let (length, periods) = (self.points.len(), self.periods);
+            return Some(format!(
+                "it holds its first {length} points {periods} times: these are taken for one period \
+                 (--points-per-period says otherwise)"
+            ));
+        }
         let (first, second, last) = (self.points.first()?, self.points.get(1)?, self.points.last()?);
         let length = self.points.len();
         ((last - first).norm() <= REPEATED * (second - first).norm()).then(|| {
@@ -137,6 +147,19 @@ impl DesiredPath {
     pub(super) fn tangent(&self, k: usize) -> Option<Vector3<f64>> {
         self.tangents.as_ref()?.get(k % self.points.len().max(1)).copied()
     }
+}
+
+/// The first point that is not where the same point of the first period is.
+fn unlike_the_first(points: &[Point3<f64>], length: usize) -> Option<usize> {
+    let repeated = points.iter().zip(points.iter().take(length).cycle()).enumerate();
+    repeated.skip(length).find(|(_, (point, first))| (*point - *first).norm() > SAME_M).map(|(k, _)| k)
+}
+
+/// Points of a period: as few, but a path's least, as all others repeat.
+fn repeating(points: &[Point3<f64>]) -> usize {
+    let rows = points.len();
+    let repeats = |length: &usize| rows.is_multiple_of(*length) && unlike_the_first(points, *length).is_none();
+    (LEAST_POINTS..=rows / 2).find(repeats).unwrap_or(rows)
 }
 
 /// The rows of three columns; the number of the first that is not whole, from 1, if there is one.

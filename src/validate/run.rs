@@ -190,7 +190,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let vetoed = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.status == VETOED);
     let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= window.at_ns(skipped)).count();
     let sd = response.sd(path, &steps, (sd_m, averaged * seen as f64));
-    let (response_sd, wrong_frames) = unless_wrong_frames(sd, &response, &of_runs);
+    let (response_sd, wrong_frames) = unless_wrong_frames(sd, &response, &of_runs, window.at_ns(skipped));
     said.extend(wrong_frames);
     Ok(Run {
         given: 0,
@@ -229,10 +229,16 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     })
 }
 
-/// σ of a response, unless frames may be wrong: at the same place of each period they would look like the response. And
-/// what is to be said of such frames.
-fn unless_wrong_frames(sd: Option<f64>, response: &Response, samples: &[Sample]) -> (Option<f64>, Vec<String>) {
-    let lone = lone(samples);
+/// σ of a response to frames from `from_ns` on, unless some may be wrong: at the same place of each period they would
+/// look like the response. And what is to be said of such frames.
+fn unless_wrong_frames(
+    sd: Option<f64>,
+    response: &Response,
+    samples: &[Sample],
+    from_ns: i64,
+) -> (Option<f64>, Vec<String>) {
+    let counted: Vec<Sample> = samples.iter().filter(|(at_ns, _)| *at_ns >= from_ns).copied().collect();
+    let lone = lone(&counted);
     let too_far = |sd: f64| lone.zip(response.magnitude).is_some_and(|(lone, size)| lone.mean_m > sd * size.observed_m);
     let repeated = notes::repeated(samples);
     let off_plane = response.plane.as_ref().zip(response.magnitude.as_ref());
@@ -250,10 +256,12 @@ fn pairs(path: &DesiredPath, steps: &[Step]) -> Result<Vec<Pair>, String> {
     let pairs: Vec<Pair> = steps.iter().filter_map(|step| Some((step.observed?, step.desired))).collect();
     if 2 * pairs.len() < path.points.len() {
         return Err(format!(
-            "{} of {} commands have a point, less than half of a period of {}; check --pause and --start",
+            "{} of {} commands have a point, less than half of a period, which is {} rows of {}; check --pause, --start, \
+             --periods and --points-per-period",
             pairs.len(),
             steps.len(),
-            path.points.len()
+            path.points.len(),
+            path.file.display()
         ));
     }
     Ok(pairs)

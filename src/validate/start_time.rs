@@ -316,7 +316,15 @@ mod tests {
         let points: Vec<Point3<f64>> =
             (0..8).map(|k| Point3::new(f64::from(k).cos(), f64::from(k).sin(), 0.0)).collect();
         let plane = Plane::through(&points).unwrap();
-        DesiredPath { file: "path.csv".into(), points, tangents: None, periods, plane, circle: None }
+        DesiredPath {
+            file: "path.csv".into(),
+            points,
+            tangents: None,
+            periods,
+            is_repetition: false,
+            plane,
+            circle: None,
+        }
     }
 
     #[test]

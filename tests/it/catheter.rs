@@ -246,6 +246,8 @@ fn what_cannot_be_is_refused_with_what_would_be_right() {
         (&["shape", "--currents", "0mA,0mA,1mA", "--catheter", "none.toml"], 2, "cannot read catheter file none.toml"),
         (&["shape", "--currents", "0mA,0mA,1mA", "--catheter", "c.toml"], 2, "missing field"),
         (&["run", "unix.csv", "-o", "run.csv"], 2, "unix.csv: its last current is at 1700000001 s, which makes"),
+        (&["run", "unix.csv", "--missing", "95%", "-o", "run.csv"], 2, "from 0 to 90 percent: write for example 5%"),
+        (&["fit", "a.csv", "--parameters", "young,young", "-o", "out"], 2, "--parameters: young is given twice"),
         (&["follow", "none.csv", "-o", "out"], 2, "is neither circle nor lemniscate, and no such file"),
         (&["follow", "circle", "--radius", "0mm", "-o", "out"], 2, "is not a length above 0"),
         (&["follow", "circle", "--pause", "0.5ms", "-o", "out"], 2, "--pause: at least 1ms"),
@@ -286,6 +288,13 @@ fn a_run_is_fitted_by_the_bands_of_the_catheters_file() {
     assert!(!warnings.contains("doubt"), "{warnings}");
     let written = fs::read_to_string(folder.path().join("right/catheter.toml")).unwrap();
     assert!(written.contains("[bands]\nbase_mm = 6.0\ntip_mm = 116.0"), "{written}");
+    // A run at rest, whose base is exactly where its band is, too.
+    put("zero.csv", "t_s,x_a,y_a,z_a\n0,0,0,0\n4,0,0,0\n");
+    stdout(&catheter(folder.path(), &["run", "zero.csv", "--catheter", "bands.toml", "-o", "rest.csv"]));
+    let both = ["fit", "run.csv", "rest.csv", "--currents", "c.csv", "zero.csv", "--only-still", "--settle", "1500ms"];
+    let both = catheter(folder.path(), &[&both[..], &["--catheter", "bands.toml", "-o", "both"]].concat());
+    let warnings = String::from_utf8_lossy(&both.stderr).into_owned();
+    assert!(both.status.success() && !warnings.contains("farther"), "{warnings}");
     // Without the bands the fit cannot be right, and says why.
     let warnings = String::from_utf8_lossy(&fitted("bare.toml", "wrong").stderr).into_owned();
     for words in ["nothing says where its bands are", "in all frames alike the coil is seen -"] {

@@ -264,8 +264,13 @@ impl Residuals for Still<'_> {
             let near = shape.as_ref().and_then(|shape| shape.moved_to(&catheter, &load).ok());
             let shape = near.or_else(|| equilibrium(&catheter, &load).ok())?;
             let mean = (pause.frames as f64).sqrt();
-            let seen =
-                Sighting { time_s: 0.0, coil: Some(pause.coil), tip: Some(pause.tip), tangent: Some(pause.tangent) };
+            let seen = Sighting {
+                time_s: 0.0,
+                base: None,
+                coil: Some(pause.coil),
+                tip: Some(pause.tip),
+                tangent: Some(pause.tangent),
+            };
             push(&mut left, &seen, (&shape.coil, &shape.tip, &shape.tangent), self.noise, mean);
         }
         Some(DVector::from_vec(left))

@@ -2,7 +2,8 @@
 //!
 //! A tracker counts from the base band and calls the middle of the tip's band the tip; `catheter run` without `[bands]`
 //! counts from the clamp, and its tip is the end of the tube. Which of them, in this order: the rig given, the rig
-//! recorded with the run, a table whose base stays exactly in the origin (as no tracker's does), the catheter's file.
+//! recorded with the run, a table whose base stays exactly in the origin (as no tracker's does) while the tip moves, the
+//! catheter's file.
 
 use crate::catheter::{Bands, Catheter};
 use crate::cli::Failure;
@@ -77,7 +78,8 @@ pub(super) fn of(recording: &Recording, seen: Option<&Seen>, catheter: &Catheter
     if let Some(seen) = seen {
         return Ok(seen.on(Some(catheter))?.bands);
     }
-    if counts_from_clamp(recording) {
+    // At rest and without noise a base band is in the origin, too.
+    if counts_from_clamp(recording) && (catheter.bands.is_none() || moves(recording)) {
         return Ok(None);
     }
     if catheter.bands.is_none() {
@@ -92,8 +94,17 @@ pub(super) fn of(recording: &Recording, seen: Option<&Seen>, catheter: &Catheter
 
 /// Whether the base is exactly in the origin wherever it is.
 fn counts_from_clamp(recording: &Recording) -> bool {
-    let base = recording.markers.iter().position(|name| name == "base");
-    let places = recording.frames.iter().filter_map(|frame| frame.places.get(base?)?.point);
-    let mut places = places.peekable();
+    let mut places = places(recording, "base").peekable();
     places.peek().is_some() && places.all(|place| place == Point3::origin())
+}
+
+/// Whether the tip is not exactly in one place, or has noise.
+fn moves(recording: &Recording) -> bool {
+    let mut places = places(recording, "tip");
+    places.next().is_some_and(|first| places.any(|place| place != first))
+}
+
+fn places<'a>(recording: &'a Recording, name: &str) -> impl Iterator<Item = Point3<f64>> + 'a {
+    let marker = recording.markers.iter().position(|known| known == name);
+    recording.frames.iter().filter_map(move |frame| frame.places.get(marker?)?.point)
 }

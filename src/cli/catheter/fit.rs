@@ -6,7 +6,7 @@ use super::super::progress::Stages;
 use super::super::units::{duration_s, seconds_ns};
 use super::super::{Exit, Failure, output, provenance};
 use super::bands::Seen;
-use super::recorded::Reading;
+use super::recorded::{Reading, rms};
 use super::run::Columns;
 use super::{Common, Own, failure, prepare};
 use crate::catheter::{
@@ -89,6 +89,9 @@ impl FitArgs {
         let inputs: Vec<&Path> = inputs.chain(files).map(PathBuf::as_path).collect();
         prepare(&self.out, &FILES, &inputs)?;
         self.check_start()?;
+        if let Some(twice) = self.parameters.iter().enumerate().find(|(k, p)| self.parameters[..*k].contains(p)) {
+            return Err(Failure::usage(format!("--parameters: {} is given twice", twice.1.name())));
+        }
         let stages = Stages::new(quiet);
         stages.begin("reading the runs");
         let seen = |files: &[PathBuf]| -> Result<Vec<Option<Seen>>, Failure> {
@@ -113,7 +116,7 @@ impl FitArgs {
         copies::check(&all, |a, b| a.0.sightings == b.0.sightings, |(run, is_fitted)| (&run.name, *is_fitted))?;
         // The file that is written says where the bands of its runs are.
         catheter.bands = fitted.iter().find_map(|(run, _)| run.bands).or(catheter.bands);
-        let stated_noise = fitted.iter().find_map(|(_, stated_noise)| *stated_noise);
+        let stated_noise = mean_noise(fitted.iter().filter_map(|(_, stated_noise)| *stated_noise));
         let runs: Vec<Run> = fitted.into_iter().map(|(run, _)| run).collect();
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
         let default = || Parameter::DEFAULT.into_iter().filter(|p| p.is_static() || !self.only_still).collect();
@@ -211,6 +214,12 @@ impl FitArgs {
         let _ = writeln!(text, "\nwritten: {} in {}", FILES.map(|(name, _)| name).join(", "), self.out.display());
         text
     }
+}
+
+/// The noise of runs together: the RMS of theirs.
+fn mean_noise(of_runs: impl Iterator<Item = Noise> + Clone) -> Option<Noise> {
+    let point_m = rms(of_runs.clone().map(|noise| noise.point_m))?;
+    Some(Noise { point_m, angle_rad: rms(of_runs.map(|noise| noise.angle_rad))?, missing: 0.0 })
 }
 
 fn unusable(error: CatheterError) -> Failure {

@@ -110,11 +110,26 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     }
 }
 
+/// Part of B0 along y from which x of the base frame is not along it.
+const ALONG_X: f64 = 0.01;
+
 impl Common {
     fn load(&self) -> Result<(String, Catheter), Failure> {
         match &self.catheter {
             None => Ok(("the paper's prototype".to_owned(), Catheter::prototype())),
-            Some(file) => Ok((file.display().to_string(), Catheter::load(file).map_err(failure)?)),
+            Some(file) => {
+                let catheter = Catheter::load(file).map_err(failure)?;
+                let b0 = catheter.surroundings.b0_t;
+                if b0.y.abs() > ALONG_X * b0.norm() || b0.x < 0.0 {
+                    let [x, y, z] = [b0.x, b0.y, b0.z];
+                    tracing::warn!(
+                        "{}: surroundings.b0_t = [{x}, {y}, {z}]: x of the base frame is expected along B0, so that y \
+                         is 0; θ is not the angle in the plane of B0: turn the field, gravity and coils",
+                        file.display()
+                    );
+                }
+                Ok((file.display().to_string(), catheter))
+            }
         }
     }
 }

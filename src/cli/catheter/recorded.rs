@@ -51,6 +51,7 @@ impl Reading<'_> {
             .iter()
             .map(|frame| Sighting {
                 time_s: since_zero_s(frame.stamp_ns),
+                base: None,
                 coil: frame.places.get(coil).and_then(|place| place.point).map(|point| point + origin),
                 tip: frame.places.get(tip).and_then(|place| place.point).map(|point| point + origin),
                 tangent: frame.tangent,
@@ -63,8 +64,15 @@ impl Reading<'_> {
         if let Some(warning) = held_too_long(&commands, last_s) {
             tracing::warn!("{of_currents}: {warning}");
         }
-        if !sightings.iter().any(|s| s.tip.is_some()) {
+        let lacks = |has: fn(&Sighting) -> bool| !sightings.iter().any(has);
+        if lacks(|s| s.tip.is_some()) {
             return Err(wrong("no frame has a place of the tip"));
+        }
+        if lacks(|s| s.coil.is_some()) {
+            return Err(wrong("no frame has a place of the coil"));
+        }
+        if lacks(|s| s.tangent.is_some()) {
+            return Err(wrong("no frame has a direction of the coil (tan_x, tan_y, tan_z)"));
         }
         let sd_m = rms(recording.frames.iter().filter_map(|f| f.places.get(tip)?.sd_m));
         let sd_rad = rms(recording.frames.iter().filter_map(|f| f.tangent_sd_rad));
@@ -89,6 +97,9 @@ impl Reading<'_> {
                 }
                 for current in table.on_camera_clock(recording, self.start_ns)? {
                     commands.extend(current.stamp_ns.map(|ns| (ns, current.values_a)));
+                }
+                if let Some(assumption) = self.columns.assumption(&table.coils) {
+                    tracing::warn!("{}: {assumption}", table.path.display());
                 }
                 self.columns.of(&table.coils).map_err(|why| wrong(&table.path, &why))?
             }
@@ -151,7 +162,7 @@ fn held_too_long(commands: &Commands, last_s: f64) -> Option<String> {
     })
 }
 
-fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
+pub(super) fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
     let values: Vec<f64> = values.filter(|v| *v > 0.0).collect();
     (!values.is_empty()).then(|| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt())
 }

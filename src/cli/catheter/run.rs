@@ -2,7 +2,7 @@
 
 use super::super::Failure;
 use super::super::output::{is_free, print, save};
-use super::super::units::{duration_or_none_s, duration_s, frequency_hz};
+use super::super::units::{duration_or_none_s, duration_s, frequency_hz, part_of_frames};
 use super::{Common, failure};
 use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, record, seen};
 use crate::log::schema::table;
@@ -37,8 +37,8 @@ pub(super) struct RunArgs {
     #[arg(long, value_name = "T", value_parser = duration_s)]
     duration: Option<f64>,
     /// Delay of the currents behind their commanded times
-    #[arg(long, value_name = "T", value_parser = duration_s)]
-    delay: Option<f64>,
+    #[arg(long, value_name = "T", default_value = "0", value_parser = duration_or_none_s)]
+    delay: f64,
     /// Relaxation time of the tube's material instead of the file's
     #[arg(long, value_name = "T", value_parser = duration_or_none_s)]
     damping: Option<f64>,
@@ -49,7 +49,7 @@ pub(super) struct RunArgs {
     #[arg(long, value_name = "MM,DEG", value_delimiter = ',', num_args = 1)]
     noise: Vec<f64>,
     /// Percentage of frames in which nothing is seen
-    #[arg(long, value_name = "%", default_value_t = 0.0)]
+    #[arg(long, value_name = "%", default_value = "0", value_parser = part_of_frames)]
     missing: f64,
     /// Seed of noise and missing frames
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -91,10 +91,29 @@ impl Columns {
         });
         let rows: Vec<(f64, Vector3<f64>)> = rows.collect();
         let commands = Commands::new(catheter, rows).map_err(|e| Failure::usage(format!("{file}: {e}")))?;
-        if commands.span_s().0 < 0.0 {
-            return Err(Failure::usage(format!("{file}: begins before 0 s")));
+        let first_s = commands.span_s().0;
+        if first_s < 0.0 {
+            return Err(Failure::usage(format!("{file}: its first row is at {first_s} s; count its times from 0 s")));
+        }
+        if let Some(assumption) = self.assumption(&table.coils) {
+            tracing::warn!("{file}: {assumption}");
         }
         Ok(commands)
+    }
+
+    /// What to say of an only column that is taken for the axial coil although its name says something else.
+    pub(super) fn assumption(&self, names: &[String]) -> Option<String> {
+        let [name] = names else { return None };
+        let says_nothing = |word: &str| {
+            let word = word.trim_end_matches(|c: char| c.is_ascii_digit()).to_ascii_lowercase();
+            ["", "a", "axial", "channel", "coil", "current", "i", "ma"].contains(&word.as_str())
+        };
+        let assumed = self.coils.is_empty() && axis(name).is_none() && !words(name).all(says_nothing);
+        assumed.then(|| {
+            format!(
+                "its only column `{name}` is taken for the axial coil z; --coils says which coil a column belongs to"
+            )
+        })
     }
 
     /// Indices of the coils' columns among these names.
@@ -135,8 +154,11 @@ impl Columns {
 
 /// The coil that a column's name names by a letter of its own, as `coil_y` and `y_a` do: 0 to 2 for x, y, z.
 fn axis(name: &str) -> Option<usize> {
-    let mut words = name.split(|c: char| !c.is_ascii_alphanumeric());
-    words.find_map(|word| ["x", "y", "z"].iter().position(|axis| word.eq_ignore_ascii_case(axis)))
+    words(name).find_map(|word| ["x", "y", "z"].iter().position(|axis| word.eq_ignore_ascii_case(axis)))
+}
+
+fn words(name: &str) -> impl Iterator<Item = &str> {
+    name.split(|c: char| !c.is_ascii_alphanumeric())
 }
 
 impl RunArgs {
@@ -153,7 +175,7 @@ impl RunArgs {
             catheter.motion.damping_s = damping_s;
         }
         let table = CurrentTable::read(&self.currents).map_err(Failure::usage)?;
-        let commands = self.columns.commands(&catheter, &table, self.delay.unwrap_or(0.0))?;
+        let commands = self.columns.commands(&catheter, &table, self.delay)?;
         let (_, end_s) = commands.span_s();
         let duration_s = self.duration.unwrap_or(end_s + 1.0);
         let frames = (duration_s * self.rate).floor() + 1.0;
@@ -170,15 +192,12 @@ impl RunArgs {
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
         let times_s = (0..frames as u64).map(|k| k as f64 / self.rate);
         let moments = record(&catheter, &commands, tip_n, times_s, accuracy).map_err(failure)?;
-        save(&self.out, &rows(&moments, &seen(&moments, noise, self.seed), noise, catheter.origin_m()))?;
+        save(&self.out, &rows(&seen(&moments, noise, self.seed), noise, catheter.origin_m()))?;
         if quiet { Ok(()) } else { print(&summary(&name, &moments, self.rate, &self.out)) }
     }
 
     fn noise(&self) -> Result<Noise, String> {
-        let missing = self.missing / 100.0;
-        if !(0.0..=0.9).contains(&missing) {
-            return Err(format!("--missing {}: expected a part of the frames from 0 to 90 percent", self.missing));
-        }
+        let missing = self.missing;
         match *self.noise.as_slice() {
             [] => Ok(Noise { missing, ..Noise::NONE }),
             [mm, deg] if (0.0..100.0).contains(&mm) && (0.0..45.0).contains(&deg) => {
@@ -190,12 +209,12 @@ impl RunArgs {
 }
 
 /// The table of a tracked run, with its origin so far from the clamp.
-fn rows(moments: &[Moment], sightings: &[Sighting], noise: Noise, origin_m: f64) -> String {
+fn rows(sightings: &[Sighting], noise: Noise, origin_m: f64) -> String {
     let origin = Vector3::z() * origin_m;
     let mut text = table::header(MARKERS.into_iter(), false).join(",") + "\r\n";
     let sd = |value: f64| if value > 0.0 { format!("{value:.6}") } else { String::new() };
     let (point_sd, angle_sd) = (sd(noise.point_m * 1e3), sd(noise.angle_rad.to_degrees()));
-    for (k, (moment, at)) in moments.iter().zip(sightings).enumerate() {
+    for (k, at) in sightings.iter().enumerate() {
         let stamp_ns = (at.time_s * 1e9).round() as i64;
         // Writing into text cannot fail.
         let _ = write!(text, "{k},{},{stamp_ns}", decimal_seconds(stamp_ns));
@@ -207,7 +226,7 @@ fn rows(moments: &[Moment], sightings: &[Sighting], noise: Noise, origin_m: f64)
             }
             None => text += ",,,,",
         }
-        for point in [at.tip.map(|_| moment.base), at.coil, at.tip].map(|point| Some(point? - origin)) {
+        for point in [at.base, at.coil, at.tip].map(|point| Some(point? - origin)) {
             match point {
                 Some(p) => {
                     let _ = write!(text, ",{:.6},{:.6},{:.6},{point_sd},ok", p.x * 1e3, p.y * 1e3, p.z * 1e3);
@@ -292,6 +311,9 @@ mod tests {
         assert_eq!(of("coil_z,coil_y,coil_x"), Ok([Some(2), Some(1), Some(0)]));
         assert_eq!(of("I_Y_A"), Ok([None, Some(0), None]));
         assert_eq!([of("coil_1,coil_2,coil_3"), of("axial")], [Ok([0, 1, 2].map(Some)), Ok([None, None, Some(0)])]);
+        let is_told = |name: &str| Columns::default().assumption(&[name.to_owned()]).is_some();
+        assert!(is_told("side") && is_told("lateral_a"));
+        assert!(["axial_a", "z_a", "current", "channel_1", "I", "coil1"].iter().all(|name| !is_told(name)));
         for unclear in ["y_a,z_a,temp_c", "x_a,x_b,y_a", "z,y"] {
             assert!(of(unclear).unwrap_err().contains("say with --coils"), "{unclear}");
         }
@@ -303,7 +325,7 @@ mod tests {
         let commands = Commands::new(&catheter, [(0.05, Vector3::new(0.0, 0.0, 0.05))]).unwrap();
         let times_s = (0..4).map(|k| f64::from(k) / 10.0);
         let moments = record(&catheter, &commands, Vector3::zeros(), times_s, Accuracy::default()).unwrap();
-        let of = |noise: Noise| rows(&moments, &seen(&moments, noise, 1), noise, 0.0);
+        let of = |noise: Noise| rows(&seen(&moments, noise, 1), noise, 0.0);
         let noise = Noise { point_m: 4e-5, angle_rad: 0.003, missing: 0.3 };
         let own = of(noise);
         assert!(is_own_table(&own) && is_own_table(&of(Noise::NONE)), "{own}");

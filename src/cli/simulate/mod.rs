@@ -6,7 +6,7 @@ mod writer;
 use super::catheter::Columns;
 use super::progress::Progress;
 use super::results::Results;
-use super::units::{duration_or_none_s, duration_s, frequency_hz};
+use super::units::{duration_or_none_s, duration_s, frequency_hz, part_of_frames};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::board::{Board, Pattern};
 use crate::catheter::Catheter;
@@ -81,7 +81,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "T", default_value = "0", value_parser = duration_or_none_s)]
     jitter: f64,
     /// Percentage of frames that are lost
-    #[arg(long, value_name = "%", default_value_t = 0.0)]
+    #[arg(long, value_name = "%", default_value = "0", value_parser = part_of_frames)]
     lost: f64,
     /// N pictures of a board in air and N in the rig instead of a recording
     #[arg(long, value_name = "N", conflicts_with_all = OF_RECORDINGS)]
@@ -110,12 +110,6 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         return Err(Failure::usage(format!("--highlight {}: expected a part from 0 to 1", args.highlight)));
     }
     scene.highlight = args.highlight;
-    if !(0.0..=90.0).contains(&args.lost) {
-        return Err(Failure::usage(format!(
-            "--lost {}: expected a part of the frames from 0 to 90 percent",
-            args.lost
-        )));
-    }
     match args.boards {
         Some(count) => args.boards(&rig, &scene, usize::from(count), (&asked, quiet)),
         None => args.recording(&taught(&rig, &scene).map_err(|e| of_rig(&e))?, &scene, &mount, source, (&asked, quiet)),
@@ -163,8 +157,15 @@ impl Args {
                 return Err(Failure::usage(text));
             }
         }
-        let timing =
-            Timing { rate_hz: self.rate_hz(), jitter_s: self.jitter, lost: self.lost / 100.0, seed: self.seed };
+        let timing = Timing { rate_hz: self.rate_hz(), jitter_s: self.jitter, lost: self.lost, seed: self.seed };
+        if self.jitter > timing.most_jitter_s() {
+            return Err(Failure::usage(format!(
+                "--jitter: {} ms, expected at most {:.2} ms at {} Hz: the frames would change places",
+                self.jitter * 1e3,
+                timing.most_jitter_s() * 1e3,
+                timing.rate_hz
+            )));
+        }
         let stamps = source.stamps(timing)?;
         let shortest_s = stamps.windows(2).map(|pair| seconds(pair[1].ns - pair[0].ns)).fold(f64::INFINITY, f64::min);
         // Stamps are whole nanoseconds.

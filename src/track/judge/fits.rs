@@ -218,6 +218,12 @@ impl Judge {
         Self { lenient: true, ..Self::new(rig) }
     }
 
+    /// Forgets how bands looked: they are compared with another image model from now on.
+    pub(in crate::track) fn forget_looks(&mut self, rig: &Rig) {
+        self.usual.forget();
+        self.usual_widths = UsualWidths::new(rig);
+    }
+
     /// Whether a stretch with this reference looked otherwise in the last frame, and was accepted.
     pub(in crate::track) fn looked_otherwise(&self, reference: usize) -> bool {
         self.refusals.get(reference).is_some_and(|refusals| refusals.borne)

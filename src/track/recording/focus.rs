@@ -139,16 +139,21 @@ impl Focus {
         if self.size.all.slopes.len() < frames {
             return false;
         }
-        let (low, high) = LIMITS_PX;
-        let mut moved = false;
-        for course in [&mut self.size, &mut self.shape] {
-            for (blur_px, distance) in self.blurs_px.iter_mut().zip(course.decide(frames)) {
-                let Some(distance) = distance else { continue };
-                *blur_px = changed(blur_px, course.way, distance.log).map(|along_px| along_px.clamp(low, high));
-                (course.followed, moved) = (true, true);
-            }
-        }
+        let moves = [&mut self.size, &mut self.shape].map(|course| course.decide(frames));
+        let farthest =
+            moves.each_ref().map(|moves| moves.iter().flatten().map(|one| one.log.abs()).fold(0.0, f64::max));
+        let moved = farthest != [0.0; 2];
         if moved {
+            // One way at a time: far from the minimum both have their slope from the same lack of blur.
+            let [of_size, of_shape] = moves;
+            let size_first = farthest[0] >= farthest[1];
+            let (course, moves) = if size_first { (&mut self.size, of_size) } else { (&mut self.shape, of_shape) };
+            course.followed = true;
+            let (low, high) = LIMITS_PX;
+            for (blur_px, distance) in self.blurs_px.iter_mut().zip(moves) {
+                let log = distance.map_or(0.0, |distance| distance.log);
+                *blur_px = changed(blur_px, course.way, log).map(|along_px| along_px.clamp(low, high));
+            }
             tracing::debug!("the pictures' blur is now taken for {:.3?} px", self.blurs_px);
         }
         self.trials.go_on(moved);

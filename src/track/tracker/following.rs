@@ -70,8 +70,9 @@ impl Tracker {
         self.diameter.add_tried(&fit, &blurred);
     }
 
-    /// With another blur the base band moves with the model, not with the camera.
+    /// With another blur the base band moves with the model, not with the camera, and bands look otherwise.
     fn begin_resting(&mut self) {
+        self.judge.forget_looks(&self.rig);
         self.shake.forget();
         self.moved.forget();
         self.diameter = Diameter::of(&self.rig);

@@ -517,6 +517,23 @@ fn frames_that_show_something_else_are_told_and_leave_no_sigma() {
     }
 }
 
+#[test]
+fn a_wrong_frame_of_the_period_that_does_not_count_changes_nothing() {
+    let spoiled = Spoiled { noise_m: 5e-5, missing: 0.0, seed: 3, run_in: 0 };
+    let mut recording = simulate(circle, 0.02, CORNER_HZ, spoiled);
+    let evaluate = |recording: &Recording| {
+        let observed = [Observed { recording, pause_s: 0.02, start_ns: Some(START_NS) }];
+        let run = validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0);
+        (run.magnitude, run.response_sd, run.notes)
+    };
+    let good = evaluate(&recording);
+    assert!(good.1.is_some());
+    let in_first_period = |frame: &&mut Frame| (START_NS..START_NS + 2_000_000_000).contains(&frame.stamp_ns);
+    let frame = recording.frames.iter_mut().filter(in_first_period).nth(60).unwrap();
+    frame.places[0].point.as_mut().unwrap().x += 0.05;
+    assert_eq!(evaluate(&recording), good);
+}
+
 /// Zeros where nothing was seen: three in a row are not alone, and made the circle four times too large.
 #[test]
 fn points_far_from_their_plane_are_told_and_leave_no_sigma() {

@@ -22,7 +22,11 @@ fn paths_are_read_with_their_periods_and_directions() {
     assert_eq!(path.points[2], Point3::new(0.01, 0.01, 0.005));
     let twice = format!("{square}0,0,5,0,0,1\n10,0,5,0,0,1\n10,10,5,0,0,1\n0,10,5,0,0,1\n");
     let path = read(&twice, Some(4), None).unwrap();
-    assert_eq!((path.points.len(), path.periods), (4, 2));
+    assert_eq!((path.points.len(), path.periods, path.note()), (4, 2, None));
+    let found = read(&twice, None, None).unwrap();
+    assert_eq!((found.points.len(), found.periods), (4, 2));
+    assert!(found.note().unwrap().starts_with("it holds its first 4 points 2 times"));
+    assert_eq!(read(&twice, Some(8), None).unwrap().commands(), 32);
     assert_eq!(
         read(&twice, Some(3), None).unwrap_err(),
         "path.csv: has 8 rows, which is not a multiple of 3 points per period"
