@@ -33,8 +33,8 @@ pub(super) fn find(rig: &mut Rig, frames: &[&Frame], followers: &[Frame]) -> Vec
     if are_apart(&sizes, APART) {
         sizes = approach(rig, frames, followers, &[SIZE]);
     }
-    let shapes = distances(rig, frames, followers, SHAPE);
-    if shapes.iter().flatten().any(|distance| distance.exceeds(DIRECTED)) {
+    let is_directed = |curve: &Curve| curve.tells_shape() && curve.distance().is_some_and(|off| off.exceeds(DIRECTED));
+    if curves(rig, frames, followers, SHAPE).iter().flatten().any(is_directed) {
         sizes = approach(rig, frames, followers, &[SHAPE, SIZE]);
     }
     // Three decimals are beyond the accuracy.
@@ -71,6 +71,13 @@ fn approach(rig: &mut Rig, frames: &[&Frame], followers: &[Frame], ways: &[Vecto
 
 /// How far the best blur of each view is, along a way.
 fn distances(rig: &Rig, frames: &[&Frame], followers: &[Frame], way: Vector2<f64>) -> Vec<Option<Distance>> {
+    let distances = curves(rig, frames, followers, way).into_iter().map(|curve| curve?.distance()).collect();
+    tracing::debug!("the best blurs of the views are away by {distances:?}, along {way:?}");
+    distances
+}
+
+/// How the misfit of each view changes with its blur, along a way.
+fn curves(rig: &Rig, frames: &[&Frame], followers: &[Frame], way: Vector2<f64>) -> Vec<Option<Curve>> {
     let compared = Compared::with(rig, frames.to_vec(), followers);
     let of_view = |(v, blur_px): (usize, Option<Vector2<f64>>)| {
         let blur_px = blur_px?;
@@ -80,9 +87,7 @@ fn distances(rig: &Rig, frames: &[&Frame], followers: &[Frame], way: Vector2<f64
             other
         };
         let Curve { slopes, curvatures } = compared.curve(&with(-STEP), &with(STEP))?;
-        let distance = Curve { slopes: clipped(&slopes), curvatures: clipped(&curvatures) }.distance();
-        tracing::debug!("the best blur of view `{}` is away by {distance:?}, along {way:?}", rig.views[v].name);
-        distance
+        Some(Curve { slopes: clipped(&slopes), curvatures: clipped(&curvatures) })
     };
     rig.blurs_px().enumerate().map(of_view).collect()
 }

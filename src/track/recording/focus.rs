@@ -170,7 +170,8 @@ impl Course {
     /// How far each view's blur is to move, if it is, by these many frames or more, which are then forgotten.
     fn decide(&mut self, frames: usize) -> Vec<Option<Distance>> {
         let least = |again: bool| if again { self.follows.1 } else { self.follows.0 };
-        let seen = |curve: &Curve| curve.distance().filter(|_| curve.slopes.len() >= frames);
+        let tells = |curve: &Curve| self.followed || self.way == SIZE || curve.tells_shape();
+        let seen = |curve: &Curve| curve.distance().filter(|_| curve.slopes.len() >= frames && tells(curve));
         let own: Vec<_> = self.views.iter().map(seen).collect();
         let all = seen(&self.all);
         tracing::debug!("the best blur is away by {all:?}, in the views {own:?}, along {:?}", self.way);
