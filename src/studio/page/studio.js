@@ -15,6 +15,8 @@ function show(view, button) {
   for (const tab of tabs.children) tab.setAttribute("aria-selected", String(tab === button));
   shown = view;
   main.replaceChildren(view.element);
+  // What was said belongs to the view that was left.
+  say("");
   view.enter?.();
 }
 
