@@ -11,6 +11,8 @@ use std::sync::OnceLock;
 const STYLE: &str = include_str!("page.css");
 /// Links the time axes of plots: zooming one zooms all.
 const LINK: &str = include_str!("link.js");
+/// Fits 3D plots into their width.
+const SCENE: &str = include_str!("scene.js");
 /// Fits plots on paper.
 const PRINT: &str = include_str!("print.js");
 /// Saves plots as vector graphics, named after the page and the plot.
@@ -121,7 +123,7 @@ pub(super) fn write_page(out: &mut impl Write, title: &str, body: &str) -> io::R
     parts(&escape(title), body).iter().try_for_each(|part| out.write_all(part.as_bytes()))
 }
 
-fn parts<'a>(title: &'a str, body: &'a str) -> [&'a str; 16] {
+fn parts<'a>(title: &'a str, body: &'a str) -> [&'a str; 17] {
     [
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"",
@@ -139,6 +141,7 @@ fn parts<'a>(title: &'a str, body: &'a str) -> [&'a str; 16] {
         "<noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off \
          here.</p></noscript>\n</main>\n<script>\n",
         LINK,
+        SCENE,
         PRINT,
         "</script>\n</body>\n</html>\n",
     ]

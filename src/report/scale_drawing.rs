@@ -60,7 +60,8 @@ impl ScaleDrawing {
     pub(super) fn new(axes: (usize, usize, f64), titles: [&str; 2]) -> Self {
         let axis = |title: &str| chart::value_axis(title).constrain(AxisConstrain::Domain).zero_line(false);
         let layout = chart::layout()
-            .x_axis(axis(titles[0]))
+            // With room for numbers that are turned.
+            .x_axis(axis(titles[0]).auto_margin(true))
             .y_axis(axis(titles[1]).scale_anchor("x"))
             .hover_mode(HoverMode::Closest);
         Self { plot: chart::plot(layout), axes }
@@ -86,7 +87,7 @@ impl ScaleDrawing {
 
     /// The light of a view.
     pub(super) fn light(&mut self, view: usize, name: &str, points: &[Option<Point3<f64>>]) {
-        self.lines(&format!("light, {name}"), points, css_faint(chart::view_colour(view), 0.45), 1.0);
+        self.lines(&format!("light, {name}"), points, css_faint(chart::view_colour(view), 0.8), 1.0);
     }
 
     /// A surface, as far as light meets it, and what is said of it beside its name.

@@ -3,7 +3,7 @@
 //!
 //! It stands still when no corner moves by a pixel from one look to the next. A picture tells something new when the
 //! board is elsewhere, or turned, against every picture so far, and the rig that is calibrated with it has a smaller
-//! error to be expected.
+//! error to be expected, in the base frame or in the camera frame.
 
 use super::boards::{CalibrationInput, Form, folder, unwritten};
 use super::camera::SearchedFrame;
@@ -11,7 +11,7 @@ use super::desk::Desk;
 use super::{Refusal, Reply};
 use crate::calibrate::board::grey::Grey;
 use crate::calibrate::board::{BoardImage, find_boards};
-use crate::calibrate::rig::expected_error::Verdict;
+use crate::calibrate::rig::expected_error::{Expected, Verdict};
 use crate::calibrate::rig::initial::BoardsPicture;
 use image::DynamicImage;
 use serde::Deserialize;
@@ -26,7 +26,7 @@ const STILL_PX: f64 = 1.0;
 const STILL_FOR: Duration = Duration::from_millis(300);
 /// Elsewhere is further than this part of a square, RMS over the corners.
 const MIN_DISTANCE: f64 = 0.3;
-/// A picture lowers the error to be expected at least by this part.
+/// A picture lowers the error to be expected in one of the frames at least by this part.
 const MIN_IMPROVEMENT: f64 = 0.02;
 
 /// Looks for the board in the newest frame, and judges whether its picture is worth taking.
@@ -81,19 +81,31 @@ fn is_worth_it(bench: &CalibrationInput, images: Vec<BoardImage>, size_px: [u32;
     }
     let with = BoardsPicture { name: "the next".to_owned(), size_px, images };
     let all: Vec<BoardsPicture> = bench.found.iter().cloned().chain([with]).collect();
-    let error_mm = |pictures: &[BoardsPicture]| {
+    let errors_mm = |pictures: &[BoardsPicture]| {
         let judged: Option<Verdict> = bench.verdict(pictures).ok().flatten();
-        judged.map(|judged| judged.median_and_worst(|e| e.absolute_m).0 * 1e3)
+        let median_mm = |judged: &Verdict, of: fn(&Expected) -> f64| judged.median_and_worst(of).0 * 1e3;
+        judged.map(|judged| [median_mm(&judged, |e| e.relative_m), median_mm(&judged, |e| e.absolute_m)])
     };
-    match (error_mm(&bench.found), error_mm(&all)) {
+    match (errors_mm(&bench.found), errors_mm(&all)) {
         (None, _) => (true, "the board has not been in this position before".to_owned()),
         (Some(_), None) => (false, "with it the rig cannot be calibrated any more".to_owned()),
-        (Some(before), Some(after)) if after < before * (1.0 - MIN_IMPROVEMENT) => {
-            (true, format!("the error to be expected falls from {before:.3} to {after:.3} mm"))
-        }
-        (Some(before), Some(after)) => {
-            (false, format!("it adds little: the error to be expected goes from {before:.3} to {after:.3} mm"))
-        }
+        (Some(before), Some(after)) => adds(before, after),
+    }
+}
+
+/// Whether errors in the base frame and in the camera frame, before and after, fall enough; and which of them do.
+fn adds(before_mm: [f64; 2], after_mm: [f64; 2]) -> (bool, String) {
+    let frames = ["base", "camera"].into_iter().zip(before_mm.into_iter().zip(after_mm));
+    let (lower, others): (Vec<_>, Vec<_>) =
+        frames.partition(|(_, (before, after))| *after < before * (1.0 - MIN_IMPROVEMENT));
+    let listed = |frames: &[(&str, (f64, f64))]| {
+        let one = |(frame, (before, after)): &_| format!("from {before:.3} to {after:.3} mm in the {frame} frame");
+        frames.iter().map(one).collect::<Vec<_>>().join(", ")
+    };
+    if lower.is_empty() {
+        (false, format!("it adds little: the error to be expected goes {}", listed(&others)))
+    } else {
+        (true, format!("the error to be expected falls {}", listed(&lower)))
     }
 }
 
@@ -167,5 +179,36 @@ fn write(folder: &Path, png: &[u8]) -> Result<PathBuf, Refusal> {
             Err(error) if error.kind() == ErrorKind::AlreadyExists && number < u32::MAX => number += 1,
             Err(error) => return Err(unwritten(&path, &error)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_that_helps_in_either_frame_is_taken() {
+        let said = |before, after| {
+            let (take, why) = adds(before, after);
+            format!("{take}: {why}")
+        };
+        assert_eq!(
+            said([0.020, 0.5], [0.018, 0.5]),
+            "true: the error to be expected falls from 0.020 to 0.018 mm in the base frame"
+        );
+        assert_eq!(
+            said([0.020, 0.5], [0.021, 0.4]),
+            "true: the error to be expected falls from 0.500 to 0.400 mm in the camera frame"
+        );
+        assert_eq!(
+            said([0.020, 0.5], [0.018, 0.4]),
+            "true: the error to be expected falls from 0.020 to 0.018 mm in the base frame, from 0.500 to 0.400 mm in \
+             the camera frame"
+        );
+        assert_eq!(
+            said([0.020, 0.5], [0.020, 0.495]),
+            "false: it adds little: the error to be expected goes from 0.020 to 0.020 mm in the base frame, from 0.500 \
+             to 0.495 mm in the camera frame"
+        );
     }
 }

@@ -6,7 +6,7 @@ use super::desk::Desk;
 use super::{Refusal, Reply, shown};
 use crate::atomic_file;
 use crate::calibrate::board::Board;
-use crate::calibrate::rig::expected_error::{Expected, Verdict, verdict};
+use crate::calibrate::rig::expected_error::{Expected, Suggestion, Verdict, verdict};
 use crate::calibrate::rig::initial::BoardsPicture;
 use crate::calibrate::rig::{RigOptions, calibrate_rig};
 use crate::rig::Draft;
@@ -19,6 +19,8 @@ use std::path::{Path, PathBuf};
 
 /// Pictures that are taken at most.
 const MAX_PICTURES: usize = 200;
+/// Suggestions that are shown for each frame.
+const SUGGESTIONS: usize = 2;
 
 fn board_of(text: &str) -> Result<Board, Refusal> {
     text.parse().map_err(Refusal::wrong)
@@ -250,14 +252,19 @@ fn in_numbers(judged: &Verdict) -> Value {
         let (median, worst) = judged.median_and_worst(of);
         [median * 1e3, worst * 1e3]
     };
+    let best = |all: Vec<&Suggestion>, median_m: fn(&Suggestion) -> f64| -> Vec<Value> {
+        let best = all.into_iter().take(SUGGESTIONS);
+        best.map(|s| json!({ "what": s.what, "median_mm": median_m(s) * 1e3 })).collect()
+    };
     json!({
         "absolute_mm": mm(|e| e.absolute_m),
         "relative_mm": mm(|e| e.relative_m),
         "random_mm": mm(|e| e.random_m),
         "angle_deg": judged.angle_rad.1.to_degrees(),
-        "helpful": judged.helpful.iter().take(4).map(|s| json!({
-            "what": s.what, "absolute_mm": s.absolute_m * 1e3, "relative_mm": s.relative_m * 1e3,
-        })).collect::<Vec<_>>(),
+        "helpful": {
+            "base": best(judged.helpful_relative(), |s| s.relative_m),
+            "camera": best(judged.helpful_absolute(), |s| s.absolute_m),
+        },
     })
 }
 

@@ -1,6 +1,7 @@
 //! Which files the page may name: those below the starting folder, and those that were named on the command line.
 
 use super::Refusal;
+use crate::log::schema::{LOG_FILE, TABLE_FILE};
 use crate::source;
 use serde::Serialize;
 use std::path::{Component, Path, PathBuf};
@@ -97,7 +98,7 @@ impl Places {
             let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
             let kind = match path.is_dir() {
                 _ if name.starts_with('.') => continue,
-                true if path.join("run.toml").is_file() => "run",
+                true if [TABLE_FILE, LOG_FILE].iter().any(|file| path.join(file).is_file()) => "run",
                 true if path.join("times.csv").is_file() => "recording",
                 true => "folder",
                 false if RECORDINGS.contains(&ending.as_str()) => "recording",
@@ -177,5 +178,18 @@ mod tests {
         }
         let listed: Vec<_> = places.list(".").unwrap().into_iter().map(|e| (e.kind, e.name)).collect();
         assert!(listed.contains(&("folder", "inside".to_owned())), "{listed:?}");
+    }
+
+    #[test]
+    fn runs_are_folders_with_a_table_or_a_log() {
+        let root = tempfile::tempdir().unwrap();
+        for (folder, file) in [("a", "track.csv"), ("b", "log.mcap"), ("c", "model.json")] {
+            std::fs::create_dir(root.path().join(folder)).unwrap();
+            std::fs::write(root.path().join(folder).join(file), "").unwrap();
+            std::fs::write(root.path().join(folder).join("run.toml"), "").unwrap();
+        }
+        let listed = Places::below(root.path(), &[]).unwrap().list(".").unwrap();
+        let kinds: Vec<_> = listed.iter().map(|entry| (entry.name.as_str(), entry.kind)).collect();
+        assert_eq!(kinds, [("c", "folder"), ("a", "run"), ("b", "run")]);
     }
 }

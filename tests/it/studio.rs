@@ -366,7 +366,11 @@ fn pictures_of_a_board_are_dropped_in_and_the_rig_gets_better_as_they_come() {
             let judged = studio.json("board/judge", &board_form(&kept));
             assert!(judged["error"].is_null(), "{judged}");
             errors_mm.push(judged["verdict"]["absolute_mm"][0].as_f64().unwrap());
-            assert!(!judged["verdict"]["helpful"].as_array().unwrap().is_empty(), "{judged}");
+            for frame in ["base", "camera"] {
+                let medians_mm = judged["verdict"]["helpful"][frame].as_array().unwrap();
+                assert_eq!(medians_mm.len(), 2, "{judged}");
+                assert!(medians_mm.is_sorted_by_key(|s| s["median_mm"].as_f64()), "{judged}");
+            }
         }
     }
     println!("expected error with 4 and 8 pictures: {errors_mm:.3?} mm");

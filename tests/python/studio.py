@@ -175,8 +175,8 @@ def calibrate(page, folder, count):
     page.fill("#tank", "254x254x267mm")
     page.set_input_files("#files", sorted(folder.glob("*.png"))[:count])
     page.wait_for_selector(f".calibrate[data-judged='{count}']", timeout=180_000)
-    expect(page.locator("#verdict")).to_contain_text("in the camera frame")
-    expect(page.locator("#verdict")).to_contain_text("The next picture")
+    expect(page.locator("#verdict")).to_contain_text("in the base frame")
+    expect(page.locator("#verdict")).to_contain_text("What would help most")
     expect(page.locator("#rigcommand")).to_contain_text("catoptra calibrate rig boards/00.png")
     page.wait_for_selector(f".calibrate[data-shown='{count - 1}']")
 

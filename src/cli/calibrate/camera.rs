@@ -7,6 +7,7 @@ use crate::calibrate::board::Board;
 use crate::calibrate::board::BoardPicture;
 use crate::calibrate::camera::diagnostics::stretch_is_open;
 use crate::calibrate::camera::{CameraCalibration, CameraError, LensModel, calibrate_camera};
+use crate::digits::fixed;
 use crate::rig::{Camera, Draft, lens_note, matrix_note};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -135,8 +136,8 @@ fn describe(board: &Board, searched: &[SearchedPicture], done: &CameraCalibratio
     let _ = writeln!(
         text,
         "board: {sag_mm:.2} mm from its highest to its lowest place; its print {evenness}, and is longer along rows \
-         than along columns by {:.2} ± {:.2} %",
-        100.0 * done.shape.stretch(),
+         than along columns by {} ± {:.2} %",
+        fixed(100.0 * done.shape.stretch(), 2),
         100.0 * sd
     );
     if stretch_is_open(done) {

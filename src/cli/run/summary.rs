@@ -1,6 +1,7 @@
 //! The summary of a run: a table of plain text.
 
 use super::folder::Files;
+use crate::digits::fixed;
 use crate::estimate::plain_words;
 use crate::log::is_log;
 use crate::pipeline::Summary;
@@ -50,7 +51,7 @@ pub(in crate::cli) fn summary(
     }
     row("tangent", tally.tangent.answered, tally.tangent.median_sd_deg(), "°", reasons(tally, "tangent"))?;
     if rig.base.is_some() {
-        let range = tally.theta.range_deg.map(|(low, high)| format!("from {low:.1}° to {high:.1}°"));
+        let range = tally.theta.range_deg.map(|(low, high)| format!("from {}° to {}°", fixed(low, 1), fixed(high, 1)));
         row("deflection", tally.theta.answered, tally.theta.median_sd_deg(), "°", range.unwrap_or_default())?;
     }
     for (view, seen, answered) in idle_views(rig, tally) {

@@ -19,6 +19,7 @@ use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::diagnostics::{self, Diagnostic};
 use crate::calibrate::rig::expected_error::{Expected, Suggestion, Verdict};
 use crate::calibrate::rig::held_out::{HeldOut, LengthErrors};
+use crate::digits::fixed;
 use crate::plural::plural;
 use nalgebra::Point3;
 use words::{along, degrees, exact_mm, in_words, mm};
@@ -92,7 +93,10 @@ fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, diagnostics: &[Diag
             let ((relative, relative_worst), (absolute, _)) =
                 (v.median_and_worst(relative), v.median_and_worst(absolute));
             let [low, high] = v.filled;
-            let side = |axis: usize| format!("{:.0} to {:.0}", low[axis] * 1e3, high[axis] * 1e3);
+            let side = |axis: usize| {
+                let [low, high] = [low, high].map(|corner| page::minus(fixed(corner[axis] * 1e3, 0)));
+                format!("{low} to {high}")
+            };
             format!(
                 "The calibration adds {} to positions and displacements in the base frame ({} at the worst place), {} \
                  to angles, and {} to places counted from the camera, inside the volume that the boards filled: x {}, \

@@ -133,7 +133,7 @@ fn cards(done: &Identification, provenance: &Provenance) -> String {
             let bandwidth = estimate.bandwidth;
             let text = bandwidth.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.3} Hz"));
             let flag = if bandwidth.extrapolated { "; extrapolated" } else { "" };
-            cards += &card("Bandwidth", text, format!("{}{flag}", bandwidth.words()), false);
+            cards += &card("Bandwidth", text, format!("{}{flag}: {}", bandwidth.words(), model.title), false);
         }
     }
     format!("<dl class=\"key\">\n{cards}</dl>\n")
@@ -224,7 +224,9 @@ fn complex(re: f64, im: f64) -> String {
 fn table_1(done: &Identification, provenance: &Provenance) -> String {
     let mut heads = vec!["Data"];
     heads.extend(done.models.iter().map(|m| m.title.as_str()));
-    heads.push("one step ahead");
+    let ahead =
+        done.model(Role::Full).map_or_else(|| "one step ahead".to_owned(), |m| format!("{}, one step ahead", m.title));
+    heads.push(&ahead);
     let other =
         if provenance.initial_state == InitialState::Rest { InitialState::Estimated } else { InitialState::Rest };
     let mut rows = Vec::new();

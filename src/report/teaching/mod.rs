@@ -10,6 +10,7 @@ use super::chart::css;
 use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, table};
 use crate::calibrate::markers::{Rectangle, Teaching, Verdict, verdict};
+use crate::digits::fixed;
 use crate::plural::plural;
 use crate::rig::blur_in_words;
 use crate::sink::Palette;
@@ -300,7 +301,7 @@ fn colours(done: &Teaching) -> String {
     let mut body = "<h2>How the colours differ</h2>\n\
          <p>Each band’s colour model gives it a score of about 1, and less than the threshold of 0.5 to all else. Dots \
          show where 99 % of the samples end, of the band (towards 0) and of the other colours (towards 1), in pictures \
-         that were not learned from.</p>\n"
+         that were not learned from; those beyond the scale are drawn at its edge (hover for the number).</p>\n"
         .to_owned();
     for (v, (view, info)) in done.views.iter().zip(&done.rig.views).enumerate() {
         let height = 70 + 24 * done.rig.markers.len() as u32 * 3;
@@ -317,7 +318,7 @@ fn colours(done: &Teaching) -> String {
                     verdict(s).to_string(),
                     format!("{:.1} %", s.hits * 100.0),
                     format!("{:.1} %", s.mistaken * 100.0),
-                    format!("{:.1}", s.d_prime),
+                    page::minus(fixed(s.d_prime, 1)),
                 ]
             })
             .collect();
@@ -348,5 +349,8 @@ fn exposure(done: &Teaching) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    format!("<h2>Exposure of the bands</h2>\n{}", table(3, &["Band", "View", "", "Reaches (of 255)", "Clipped"], &rows))
+    format!(
+        "<h2>Exposure of the bands</h2>\n{}",
+        table(3, &["Band", "View", "Verdict", "Reaches (of 255)", "Clipped"], &rows)
+    )
 }

@@ -15,10 +15,11 @@ use std::f64::consts::TAU;
 /// Runs shown initially; more would hide each other.
 const SHOWN: usize = 3;
 
-/// From dark to light over the runs, fastest first: the stops of viridis that are visible on white.
+/// From dark to light over the runs, fastest first: the hues of viridis, dark enough for white, and light enough for a
+/// page that is dark (3 to 1 and more on both).
 fn colour(index: usize, count: usize) -> Rgb {
     const STOPS: [[f64; 3]; 5] =
-        [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [70.0, 178.0, 100.0], [170.0, 190.0, 30.0]];
+        [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [50.0, 160.0, 90.0], [135.0, 155.0, 20.0]];
     let at = index as f64 / count.saturating_sub(1).max(1) as f64 * (STOPS.len() - 1) as f64;
     let (low, part) = (at.floor() as usize, at.fract());
     let [a, b] = [low, (low + 1).min(STOPS.len() - 1)].map(|k| STOPS.get(k).copied().unwrap_or([0.0; 3]));

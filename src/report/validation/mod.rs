@@ -270,7 +270,7 @@ fn response(validation: &Validation, model: Option<&ModelLine>) -> String {
 
 fn paths(validation: &Validation) -> String {
     let mut text = format!(
-        "<h2>Paths</h2>\n<p>Black: the path. Choose runs by a click on their names.</p>\n<div \
+        "<h2>Paths</h2>\n<p>The thick line is the path. Choose runs by a click on their names.</p>\n<div \
          class=\"pair\">\n<div><h3>As observed</h3>\n{}</div>\n<div><h3>Aligned</h3>\n{}</div>\n</div>\n",
         figure("plot-observed", &figures::space(validation, false), 480, false),
         figure("plot-aligned", &figures::space(validation, true), 480, false)

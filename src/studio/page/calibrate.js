@@ -11,6 +11,7 @@ import {
   fileRow,
   fill,
   latest,
+  onOtherColours,
   onPage,
   opener,
   overPicture,
@@ -53,6 +54,7 @@ export class Calibrate {
     this.load = latest((i) => this.show(i));
     this.judge = latest(() => this.judgeAll());
     this.build();
+    onOtherColours(() => this.covered());
   }
 
   enter() {
@@ -132,7 +134,7 @@ export class Calibrate {
       el("input", { id, value, spellcheck: false, onchange: () => this.changed(), ...more });
     this.board = input("board", "9x6:12mm");
     this.mirrors = input("mirrors", 1, { type: "number", min: 1, max: 8 });
-    this.glass = input("glass", "", { type: "number", step: 0.1, min: 0, placeholder: "mm; empty: in air" });
+    this.glass = input("glass", "", { type: "number", step: 0.1, min: 0, placeholder: "empty: in air" });
     this.tank = input("tank", "", { placeholder: "254x254x267mm, if it is a box" });
     this.water = input("water", "", { type: "number", step: 0.1, placeholder: "20" });
     this.distances = input("distances", "", { placeholder: "front_wall=1265mm:2mm" });
@@ -218,7 +220,7 @@ export class Calibrate {
         ),
         field("board", "Board", this.board),
         field("mirrors", "Mirrors", this.mirrors),
-        field("glass", "Glass", this.glass),
+        field("glass", "Glass, mm", this.glass),
         field("tank", "Tank", this.tank),
         field("water", "Water, °C", this.water),
         field("distances", "Distances from the lens", this.distances),
@@ -406,18 +408,19 @@ export class Calibrate {
             el("th", { class: "number" }, "median"),
             el("th", { class: "number" }, "worst"),
           ),
+          row("in the base frame", last.verdict.relative_mm),
           row("in the camera frame", last.verdict.absolute_mm),
-          row("within the volume", last.verdict.relative_mm),
           row("by noise, one frame", last.verdict.random_mm),
         ),
-        el("h2", {}, "The next picture"),
-        el(
-          "ul",
-          {},
-          last.verdict.helpful.map((s) =>
-            el("li", {}, `${s.what}: ${mm(s.absolute_mm)} in the camera frame, ${mm(s.relative_mm)} within the volume`),
+        el("h2", {}, "What would help most"),
+        ["base", "camera"].flatMap((frame) => [
+          el("p", {}, `In the ${frame} frame (median with it):`),
+          el(
+            "ul",
+            {},
+            last.verdict.helpful[frame].map(({ what, median_mm }) => el("li", {}, `${what}: ${mm(median_mm)}`)),
           ),
-        ),
+        ]),
       );
     }
     const steps = this.verdicts.filter((v) => v.verdict).sort((a, b) => a.pictures - b.pictures);
@@ -430,13 +433,13 @@ export class Calibrate {
           el(
             "tr",
             {},
-            ["pictures", "camera frame", "within the volume"].map((t) => el("th", { class: "number" }, t)),
+            ["pictures", "base frame", "camera frame"].map((t) => el("th", { class: "number" }, t)),
           ),
           steps.map((v) =>
             el(
               "tr",
               {},
-              [v.pictures, mm(v.verdict.absolute_mm[0]), mm(v.verdict.relative_mm[0])].map((t) =>
+              [v.pictures, mm(v.verdict.relative_mm[0]), mm(v.verdict.absolute_mm[0])].map((t) =>
                 el("td", { class: "number" }, String(t)),
               ),
             ),
@@ -466,7 +469,7 @@ export class Calibrate {
     this.pictures
       .filter((p) => p.used)
       .forEach((picture, i) => {
-        context.fillStyle = onPage(i);
+        context.fillStyle = css(onPage(i));
         for (const image of picture.found?.images ?? [])
           for (const [x, y] of image.corners) context.fillRect(x * scale - 1.5, y * scale - 1.5, 3, 3);
       });

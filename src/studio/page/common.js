@@ -110,16 +110,29 @@ export function showSaved(place, done, ...more) {
   say(words, !good);
 }
 
-/** Colours of markers: over pictures, and on the page. */
+/** A number with so many digits behind the point; what rounds to zero has no sign. */
+export function fixed(value, digits) {
+  const size = Math.abs(value).toFixed(digits);
+  return value < 0 && Number(size) !== 0 ? `−${size}` : size;
+}
+
+/** Colours of markers: over pictures, and the names of those on the page. */
 const OVER_PICTURES = ["#f0b928", "#00c896", "#56b4e9", "#e696c3", "#f0e442", "#c8c8ff"];
 export const overPicture = (m) => OVER_PICTURES[m % OVER_PICTURES.length];
-export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-export const onPage = (m) => css(`--m${(m % 6) + 1}`);
+export const onPage = (m) => `--m${(m % 6) + 1}`;
 
-export function swatch(colour) {
+/** A colour of the page as it is now: light or dark. */
+export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+export function swatch(name) {
   const mark = el("span", { class: "swatch", "aria-hidden": "true" });
-  mark.style.background = colour;
+  mark.style.background = `var(${name})`;
   return mark;
+}
+
+/** Calls this when the page becomes light or dark. */
+export function onOtherColours(call) {
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", call);
 }
 
 export const isTyping = (event) => event.target.closest("input:not([type=range]), textarea, select, dialog") !== null;
@@ -173,7 +186,7 @@ export function redrawer(draw, ...elements) {
   };
   const observer = new ResizeObserver(redraw);
   elements.forEach((element) => observer.observe(element));
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+  onOtherColours(redraw);
   return redraw;
 }
 

@@ -1,7 +1,7 @@
 // Curves over time on one canvas: many points, gaps where nothing was measured, a cursor that steps from frame to
 // frame.
 
-import { css, el, redrawer, sharp } from "./common.js";
+import { css, el, fixed, redrawer, sharp } from "./common.js";
 
 const LEFT = 54;
 const BOTTOM = 20;
@@ -17,18 +17,17 @@ function step(range, count) {
   return [1, 2, 5, 10].map((n) => n * power).find((n) => n >= rough) ?? 10 * power;
 }
 
-const digits = (value, by) =>
-  value.toFixed(Math.max(0, Math.min(6, -Math.floor(Math.log10(by) + 1e-9)))).replace("-", "−");
+const digits = (value, by) => fixed(value, Math.max(0, Math.min(6, -Math.floor(Math.log10(by) + 1e-9))));
 
 /** Bars where frames were lost: from the one before to the one after. */
 export const lostBars = (x, gap) =>
-  x.flatMap((x1, i) => (gap[i] > 0 ? [{ x0: x[i - 1] ?? x1, x1, colour: css("--gap") }] : []));
+  x.flatMap((x1, i) => (gap[i] > 0 ? [{ x0: x[i - 1] ?? x1, x1, colour: "--gap" }] : []));
 
 export class Plot {
   /**
    * lines: [{ x: [], y: [], sd?: [], lost?: [], colour, name, dash? }], where frames are lost before a point the line
-   * is broken; marks: [{ x: [], colour, shape }] at the lower edge; bars: [{ x0, x1, colour }] behind the lines;
-   * shared: { from, to, cursor, whole? } in seconds, which several plots have in common.
+   * is broken; marks: [{ x: [], colour, shape }] at the lower edge; bars: [{ x0, x1, colour }] behind the lines; each
+   * colour by its name on the page; shared: { from, to, cursor, whole? } in seconds, which several plots have in common.
    */
   constructor(label, unit, shared, picked) {
     this.canvas = el("canvas", { tabIndex: 0, role: "img", "aria-label": label });
@@ -102,15 +101,15 @@ export class Plot {
     context.rect(LEFT, 0, w, height - BOTTOM + 1);
     context.clip();
     for (const { x0, x1, colour } of this.bars) {
-      context.fillStyle = colour;
+      context.fillStyle = css(colour);
       context.globalAlpha = 0.25;
       context.fillRect(px(x0) - 1, TOP, Math.max(2, px(x1) - px(x0)), h);
       context.globalAlpha = 1;
     }
     this.lines.forEach((line) => this.line(context, line, px, py));
     for (const { x, colour, shape } of this.marks) {
-      context.fillStyle = colour;
-      context.strokeStyle = colour;
+      context.fillStyle = css(colour);
+      context.strokeStyle = context.fillStyle;
       for (const t of x) {
         if (t < from || t > to) continue;
         const at = px(t);
@@ -146,7 +145,8 @@ export class Plot {
   }
 
   line(context, line, px, py) {
-    const { colour, dash } = line;
+    const { dash } = line;
+    const colour = css(line.colour);
     const pieces = this.pieces(line, px);
     if (line.sd) {
       context.fillStyle = colour;

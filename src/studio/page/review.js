@@ -5,10 +5,10 @@ import {
   askPicture,
   button,
   complain,
-  css,
   el,
   fileRow,
   fill,
+  fixed,
   latest,
   onPage,
   opener,
@@ -41,12 +41,13 @@ export class Review {
   }
 
   enter() {
-    if (this.path && !this.run) this.open(this.path).catch(complain);
-    if (!this.path) say("Choose the folder of a run.");
+    if (this.run) this.sayRun();
+    else if (this.path) this.open(this.path).catch(complain);
+    else say("Choose the folder of a run.");
   }
 
   leave() {
-    this.playing = false;
+    if (this.playing) this.play();
   }
 
   build() {
@@ -163,15 +164,16 @@ export class Review {
     this.missing.hidden = !this.run.cut;
     this.missing.textContent = `Not all of this run can be read: ${this.run.cut}`;
     this.plots();
-    say(
-      this.run.cut
-        ? `${path}: ${this.run.cut}`
-        : `${path}: ${t.length} frames, ${this.run.miss.filter((m) => m !== null).length} without θ`,
-      Boolean(this.run.cut),
-    );
+    this.sayRun();
     this.element.dataset.rows = t.length;
     if (t.length) this.go(0);
     else this.empty("This run has no rows.");
+  }
+
+  sayRun() {
+    const { cut, miss } = this.run;
+    const missed = miss.filter((m) => m !== null).length;
+    say(`${this.path}: ${cut ?? `${miss.length} frames, ${missed} without θ`}`, Boolean(cut));
   }
 
   async compare(path) {
@@ -185,7 +187,7 @@ export class Review {
   plots() {
     const { run, other } = this;
     const { t_s: x } = run;
-    const lines = [{ x, y: run.theta_deg, sd: run.sd_deg, lost: run.gap, colour: css("--ink"), name: "θ" }];
+    const lines = [{ x, y: run.theta_deg, sd: run.sd_deg, lost: run.gap, colour: "--ink", name: "θ" }];
     if (other)
       lines.push({
         // From the beginning of this run.
@@ -193,17 +195,17 @@ export class Review {
         lost: other.gap,
         y: other.theta_deg,
         sd: other.sd_deg,
-        colour: css("--quiet"),
+        colour: "--quiet",
         name: "the other run",
         dash: [6, 4],
       });
     const marks = run.reasons.map((_, k) => ({
       x: x.filter((_, i) => run.miss[i] === k),
-      colour: css(REASONS[k % REASONS.length]),
+      colour: REASONS[k % REASONS.length],
       shape: "tick",
     }));
-    marks.push({ x: x.filter((_, i) => this.vetoes[this.seq(i)] !== undefined), colour: css("--bad"), shape: "cross" });
-    const bars = run.alarms.map((alarm) => ({ x0: alarm.t_s, x1: alarm.over_s ?? x.at(-1), colour: css("--bad") }));
+    marks.push({ x: x.filter((_, i) => this.vetoes[this.seq(i)] !== undefined), colour: "--bad", shape: "cross" });
+    const bars = run.alarms.map((alarm) => ({ x0: alarm.t_s, x1: alarm.over_s ?? x.at(-1), colour: "--bad" }));
     bars.push(...lostBars(x, run.gap));
     this.theta.set(lines, marks, bars);
     const strokes = [[], [5, 3], [2, 3]];
@@ -220,17 +222,17 @@ export class Review {
     const lost = run.gap.reduce((sum, gap) => sum + gap, 0);
     fill(
       this.legend,
-      el("span", {}, swatch(css("--ink")), "θ ± σ"),
-      other ? el("span", {}, swatch(css("--quiet")), `compared (dashes): ${other.run}`) : null,
+      el("span", {}, swatch("--ink"), "θ ± σ"),
+      other ? el("span", {}, swatch("--quiet"), `compared (dashes): ${other.run}`) : null,
       ...run.reasons.map((reason, k) =>
         el(
           "span",
           {},
-          swatch(css(REASONS[k % REASONS.length])),
+          swatch(REASONS[k % REASONS.length]),
           `${reason} (${run.miss.filter((m) => m === k).length})`,
         ),
       ),
-      lost ? el("span", {}, swatch(css("--gap")), `frames lost (${lost})`) : null,
+      lost ? el("span", {}, swatch("--gap"), `frames lost (${lost})`) : null,
       Object.keys(this.vetoes).length ? el("span", { class: "bad" }, "× vetoed") : null,
       ...(run.views.length ? run.markers : []).map((marker, m) =>
         el(
@@ -316,9 +318,7 @@ export class Review {
 
   tell() {
     const { found } = this;
-    const number = (value, digits, unit) =>
-      value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`;
-    const plain = (value, digits) => value?.toFixed(digits) ?? "–";
+    const plain = (value, digits) => (value === null || value === undefined ? "–" : fixed(value, digits));
     const theta =
       found.theta_deg === null
         ? el("span", { class: "bad" }, found.status)
@@ -342,7 +342,7 @@ export class Review {
           "tr",
           {},
           el("th", {}, "Band"),
-          el("th", {}, "Place"),
+          el("th", { class: "number" }, "σ in space, mm"),
           ...this.run.views.map((v) => el("th", { class: "number" }, `${v}: residual, σ`)),
         ),
         found.bands.map((band, m) =>
@@ -350,7 +350,9 @@ export class Review {
             "tr",
             {},
             el("td", {}, swatch(onPage(m)), band.name),
-            el("td", { class: band.ok ? "" : "bad" }, band.ok ? `σ ${number(band.sd_mm, 3, "mm")}` : band.status),
+            band.ok
+              ? el("td", { class: "number" }, plain(band.sd_mm, 3))
+              : el("td", { class: "bad" }, band.status),
             ...band.views.map((seen) =>
               el("td", { class: "number" }, seen ? `${plain(seen.residual_px, 2)}, ${plain(seen.sd_px, 2)} px` : "–"),
             ),

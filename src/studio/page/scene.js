@@ -2,16 +2,19 @@
 
 import { css, el, onPage, redrawer, sharp } from "./common.js";
 
+// As it is turned at first.
+const TURN = [-0.5, 0.45];
+
 export class Space {
   constructor() {
     this.canvas = el("canvas", {
       tabIndex: 0,
       role: "img",
       "aria-label":
-        "The rig in space: camera, mirror, walls, tube and light. Arrow keys turn it, plus and minus change its size.",
+        "The rig in space: camera, mirror, walls, tube and light. Arrow keys turn it, plus and minus change its size, 0 takes both back.",
     });
     this.element = el("div", { class: "space" }, this.canvas);
-    Object.assign(this, { setUp: null, light: null, turn: [-0.5, 0.45], zoom: 1 });
+    Object.assign(this, { setUp: null, light: null, turn: TURN, zoom: 1 });
     this.redraw = redrawer(() => this.draw(), this.element);
     let held = null;
     this.canvas.addEventListener("pointerdown", (event) => {
@@ -38,6 +41,7 @@ export class Space {
       if (turns[event.key]) this.turn = this.turn.map((v, i) => v + turns[event.key][i]);
       else if (event.key === "+" || event.key === "=") this.grow(1.3);
       else if (event.key === "-") this.grow(1 / 1.3);
+      else if (event.key === "0") Object.assign(this, { turn: TURN, zoom: 1 });
       else return;
       event.preventDefault();
       event.stopPropagation();
@@ -109,7 +113,7 @@ export class Space {
     }
     for (const ray of this.light?.light ?? []) {
       path(ray.points);
-      context.strokeStyle = onPage(ray.band);
+      context.strokeStyle = css(onPage(ray.band));
       context.globalAlpha = 0.55;
       context.lineWidth = 1;
       context.stroke();
@@ -125,7 +129,7 @@ export class Space {
       context.lineCap = "round";
       context.stroke();
       for (const [p, i] of known) {
-        context.fillStyle = onPage(i);
+        context.fillStyle = css(onPage(i));
         context.beginPath();
         context.arc(...at(p), Math.max(4.5, this.setUp.tube_mm * scale * 0.9), 0, 7);
         context.fill();

@@ -15,6 +15,8 @@ function show(view, own) {
   for (const tab of tabs.children) tab.setAttribute("aria-selected", String(tab === own));
   shown = view;
   main.replaceChildren(view.element);
+  // What was said belongs to the view that was left.
+  say("");
   view.enter?.();
 }
 

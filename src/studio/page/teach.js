@@ -82,7 +82,7 @@ export class Teach {
   }
 
   leave() {
-    this.playing = false;
+    if (this.playing) this.play();
   }
 
   build() {

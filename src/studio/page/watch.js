@@ -1,6 +1,6 @@
 // A live run.
 
-import { ask, bitmap, button, complain, css, el, fill, onPage, overPicture, say, swatch } from "./common.js";
+import { ask, bitmap, button, complain, el, fill, fixed, onPage, overPicture, say, swatch } from "./common.js";
 import { Plot, lostBars } from "./plot.js";
 import { Stage, label, outline } from "./stage.js";
 
@@ -70,9 +70,9 @@ export class Watch {
           el(
             "div",
             { class: "legend" },
-            el("span", {}, swatch(css("--ink")), "θ ± σ"),
-            el("span", {}, swatch(css("--miss")), "no θ"),
-            el("span", {}, swatch(css("--gap")), "frames lost"),
+            el("span", {}, swatch("--ink"), "θ ± σ"),
+            el("span", {}, swatch("--miss"), "no θ"),
+            el("span", {}, swatch("--gap"), "frames lost"),
             AXES.map((axis, k) => el("span", {}, swatch(onPage(k)), `tip ${axis}`)),
           ),
           this.coils.element,
@@ -236,10 +236,10 @@ export class Watch {
           y: this.rows.map((row) => row.theta_deg?.[0] ?? null),
           sd: this.rows.map((row) => row.theta_deg?.[1] ?? 0),
           lost,
-          colour: css("--ink"),
+          colour: "--ink",
         },
       ],
-      [{ x: missed, colour: css("--miss"), shape: "tick" }],
+      [{ x: missed, colour: "--miss", shape: "tick" }],
       lostBars(x, lost),
     );
     this.tip.set(
@@ -275,7 +275,7 @@ export class Watch {
     const silent = status.silent_s === null ? null : `no frame for ${status.silent_s.toFixed(0)} s`;
     const now = silent === null ? last?.theta_deg : null;
     const [theta, sd] = now ?? [];
-    this.big.textContent = now ? `θ ${theta.toFixed(2)}° ± ${sd.toFixed(2)}°` : `θ – ${silent ?? last?.status ?? "no frame yet"}`;
+    this.big.textContent = now ? `θ ${fixed(theta, 2)}° ± ${fixed(sd, 2)}°` : `θ – ${silent ?? last?.status ?? "no frame yet"}`;
     this.big.classList.toggle("bad", !now);
     const ms = (v) => `${v.toFixed(2)} ms`;
     const figures = [
