@@ -4,6 +4,7 @@ use super::super::progress::Progress;
 use super::super::{Exit, Failure, fitting};
 use super::{can_be_written, save};
 use crate::calibrate::base::{BaseCalibration, BaseError, Field, Observed, Run, calibrate_base, observe};
+use crate::digits::fixed;
 use crate::rig::{Base, Rig, base_doubts};
 use crate::source::{FrameRate, FrameSource as _, SourceOptions};
 use nalgebra::{Matrix3, Vector3};
@@ -137,11 +138,15 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     print(&format!("\n{written}\n"))
 }
 
+fn in_degrees(range_rad: [f64; 2]) -> [String; 2] {
+    range_rad.map(|rad| fixed(rad.to_degrees(), 1))
+}
+
 /// What a swing to one side may mean.
 fn one_sided(args: &BaseArgs, range_rad: [f64; 2]) -> String {
-    let [low, high] = range_rad.map(f64::to_degrees);
+    let [low, high] = in_degrees(range_rad);
     format!(
-        "the swing goes from {low:.1}° to {high:.1}° about the direction in {}: was the catheter held deflected \
+        "the swing goes from {low}° to {high}° about the direction in {}: was the catheter held deflected \
          there, by a current that was left on? Then z, the zero of θ and x are wrong",
         args.rest.display()
     )
@@ -248,10 +253,10 @@ fn describe(
         rest.tangents.len()
     );
     if let (Some(path), Some(swing)) = (&args.planar, &done.swing) {
-        let [low, high] = swing.range_rad.map(f64::to_degrees);
+        let [low, high] = in_degrees(swing.range_rad);
         let _ = writeln!(
             text,
-            "{}: {} frames; coil measured in {}, deflected from {low:.1}° to {high:.1}°, {:.2}° (RMS) across the plane",
+            "{}: {} frames; coil measured in {}, deflected from {low}° to {high}°, {:.2}° (RMS) across the plane",
             path.display(),
             planar.frames,
             swing.measured,

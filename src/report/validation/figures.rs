@@ -1,7 +1,7 @@
 //! The plots of a validation's page, after Figs. 9 to 13 of the paper.
 
 use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, rounded};
-use super::{ModelLine, escape, short};
+use super::{ModelLine, escape, pause};
 use crate::sink::Rgb;
 use crate::validate::{Run, Step, Validation};
 use nalgebra::{Point2, Point3};
@@ -30,10 +30,6 @@ fn colour(index: usize, count: usize) -> Rgb {
 fn visible(index: usize, count: usize) -> Visible {
     let first = count <= SHOWN || [0, count / 2, count - 1].contains(&index);
     if first { Visible::True } else { Visible::LegendOnly }
-}
-
-fn name(run: &Run) -> String {
-    format!("{} ms", short(run.pause_s * 1e3))
 }
 
 fn runs(validation: &Validation) -> impl Iterator<Item = (usize, &Run)> {
@@ -150,7 +146,7 @@ pub(super) fn errors(validation: &Validation) -> Plot {
         let y = run.steps.iter().map(|s| rounded((s.aligned? - s.desired).norm() * 1e3, 4)).collect::<Vec<_>>();
         plot.add_trace(
             Scatter::new(x, y)
-                .name(name(run))
+                .name(pause(run))
                 .mode(Mode::Lines)
                 .line(Line::new().color(css(colour(index, count))).width(1.4))
                 .connect_gaps(false)
@@ -184,7 +180,7 @@ pub(super) fn space(validation: &Validation, aligned: bool) -> Plot {
         let coordinate = |k: usize| run.steps.iter().map(|s| rounded(of(s)?[k] * 1e3, 3)).collect::<Vec<_>>();
         plot.add_trace(
             Scatter3D::new(coordinate(0), coordinate(1), coordinate(2))
-                .name(name(run))
+                .name(pause(run))
                 .mode(Mode::Lines)
                 .line(Line::new().color(css(colour(index, count))).width(3.0))
                 .connect_gaps(false)
@@ -254,7 +250,7 @@ pub(super) fn circles(validation: &Validation) -> Plot {
         let (paint, shown) = (css(colour(index, count)), visible(index, count));
         plot.add_trace(
             Scatter::new(x, y)
-                .name(name(run))
+                .name(pause(run))
                 .legend_group(index.to_string())
                 .mode(Mode::Markers)
                 .marker(Marker::new().color(paint.clone()).size(4).opacity(0.55))
