@@ -1,7 +1,8 @@
-//! What packets tell before they are decoded: damage that their decoders conceal, and their quantisers.
+//! What packets tell before they are decoded: damage that their decoders conceal, pictures that are missing before them,
+//! and their quantisers.
 
 use super::container::configuration;
-use super::headers::Headers;
+use super::headers::{Header, Headers};
 use super::quantisation::Stated;
 use super::{ffv1, jpeg};
 use ffmpeg_the_third as av;
@@ -26,8 +27,13 @@ pub(super) enum PacketCheck {
     Here(Examiner),
 }
 
-/// A packet, and where the verdict goes.
-type Job = (Arc<av::Packet>, Sender<Verdict>);
+/// What the check's thread is to do.
+pub(super) enum Job {
+    /// Examine a packet; where the verdict goes.
+    Examine(Arc<av::Packet>, Sender<Verdict>),
+    /// The next packet is read from elsewhere in the stream.
+    Jump,
+}
 
 /// A packet that is being checked.
 pub(super) struct InCheck {
@@ -39,12 +45,14 @@ pub(super) struct InCheck {
 #[derive(Clone, Copy)]
 pub(super) struct Verdict {
     pub sound: bool,
+    /// A picture is missing before it that others are predicted from.
+    pub skips_numbers: bool,
     pub stated: Option<Stated>,
 }
 
 impl Default for Verdict {
     fn default() -> Self {
-        Self { sound: true, stated: None }
+        Self { sound: true, skips_numbers: false, stated: None }
     }
 }
 
@@ -53,9 +61,12 @@ impl PacketCheck {
         let Some(mut examiner) = Examiner::of(path, stream) else { return Self::Nothing };
         let (jobs, taken) = channel::<Job>();
         let check = move || {
-            for (packet, answer) in taken {
-                // Nobody waits for it after a jump.
-                let _ = answer.send(examiner.examine(&packet));
+            for job in taken {
+                match job {
+                    // Nobody waits for it after a jump.
+                    Job::Examine(packet, answer) => _ = answer.send(examiner.examine(&packet)),
+                    Job::Jump => examiner.jump(),
+                }
             }
         };
         match thread::Builder::new().name("check".to_owned()).spawn(check) {
@@ -74,8 +85,18 @@ impl PacketCheck {
         let packet = Arc::new(packet);
         let Self::Thread(jobs) = self else { return InCheck { packet, verdict: None } };
         let (answer, verdict) = channel();
-        let sent = jobs.send((Arc::clone(&packet), answer)).is_ok();
+        let sent = jobs.send(Job::Examine(Arc::clone(&packet), answer)).is_ok();
         InCheck { packet, verdict: sent.then_some(verdict) }
+    }
+
+    /// The next packet is read from elsewhere in the stream.
+    pub(super) fn jump(&mut self) {
+        match self {
+            Self::Nothing => {}
+            // A thread that has ended checks nothing any more.
+            Self::Thread(jobs) => _ = jobs.send(Job::Jump),
+            Self::Here(examiner) => examiner.jump(),
+        }
     }
 
     /// The verdict on a packet, as soon as there is one.
@@ -120,15 +141,24 @@ impl Examiner {
         }
     }
 
+    fn jump(&mut self) {
+        if let Self::Headers(headers) = self {
+            headers.jump();
+        }
+    }
+
     fn examine(&mut self, packet: &av::Packet) -> Verdict {
         let data = packet.data().unwrap_or_default();
         match self {
-            Self::Ffv1 => Verdict { sound: ffv1::is_sound(data), stated: None },
+            Self::Ffv1 => Verdict { sound: ffv1::is_sound(data), ..Verdict::default() },
             Self::Jpeg(examiner) => {
                 let jpeg::Examined { damage, steps } = examiner.examine(data);
-                Verdict { sound: damage.is_none(), stated: steps.map(Stated::Jpeg) }
+                Verdict { sound: damage.is_none(), stated: steps.map(Stated::Jpeg), ..Verdict::default() }
             }
-            Self::Headers(headers) => Verdict { sound: true, stated: headers.level(packet).map(Stated::Level) },
+            Self::Headers(headers) => {
+                let Header { level, skips_numbers } = headers.of_packet(packet);
+                Verdict { sound: true, skips_numbers, stated: level.map(Stated::Level) }
+            }
         }
     }
 }

@@ -323,8 +323,11 @@ impl Decoding {
                     }
                     let sent = self.decoder.send_packet(packet);
                     // The decoder conceals the damage.
-                    let Verdict { sound, stated } = self.packets.check.verdict(&next);
+                    let Verdict { sound, skips_numbers, stated } = self.packets.check.verdict(&next);
                     self.stated.extend(pts.zip(stated));
+                    if skips_numbers {
+                        self.damage.heard(number, Said::SkipsNumbers);
+                    }
                     if !sound {
                         self.damaged_packet(av::Error::InvalidData, false);
                     }

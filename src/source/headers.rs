@@ -1,10 +1,11 @@
-//! The quantiser that the headers of packets state, of coders whose decoders do not tell it: H.265 and AV1. Whether a
-//! stream of H.264 may skip numbers of pictures.
+//! What the headers of packets state and decoders do not tell: the quantiser of H.265 and AV1, and pictures that are
+//! missing in H.264.
 //!
 //! libav parses these headers for itself, but gives out only what its filter `trace_headers` logs: every element, by
 //! name. The coder may deviate from a header's quantiser in parts of the picture. How far is coded with these parts,
 //! and not known here.
 
+use super::frame_numbers::FrameNumbers;
 use super::messages::logged;
 use super::quantisation::{h26x_level, vp9_level};
 use ffmpeg_the_third as av;
@@ -20,29 +21,46 @@ pub(super) struct Headers {
 
 /// What the headers have stated so far.
 enum Coder {
+    H264(FrameNumbers),
     H265(H265),
     Av1(Av1),
+}
+
+/// What the headers of a packet state.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Header {
+    /// The level (see [`super::Quantisation`]) of the picture that it gives: that of the coarsest slice.
+    pub level: Option<u8>,
+    /// A picture is missing before it that others are predicted from.
+    pub skips_numbers: bool,
 }
 
 impl Headers {
     /// `None` when its coder is another one, or this libav cannot trace it.
     pub(super) fn of(stream: &av::format::stream::Stream<'_>) -> Option<Self> {
         let mut coder = match stream.parameters().id() {
+            av::codec::Id::H264 => Coder::H264(FrameNumbers::default()),
             av::codec::Id::HEVC => Coder::H265(H265::default()),
             av::codec::Id::AV1 => Coder::Av1(Av1::default()),
             _ => return None,
         };
         // Parameter sets may be stored with the stream.
         let mut tracer = None;
-        coder.level(&logged(|| tracer = Tracer::new(stream)));
+        coder.header(&logged(|| tracer = Tracer::new(stream)));
         Some(Self { tracer: tracer?, coder })
     }
 
-    /// The level (see [`super::Quantisation`]) of the picture that a packet gives, if its headers state one: that of
-    /// the coarsest slice. Packets are given in the order of the stream.
-    pub(super) fn level(&mut self, packet: &av::Packet) -> Option<u8> {
+    /// What those of a packet state. Packets are given in the order of the stream.
+    pub(super) fn of_packet(&mut self, packet: &av::Packet) -> Header {
         let Self { tracer, coder } = self;
-        coder.level(&logged(|| tracer.trace(packet)))
+        coder.header(&logged(|| tracer.trace(packet)))
+    }
+
+    /// The next packet is read from elsewhere in the stream.
+    pub(super) fn jump(&mut self) {
+        if let Coder::H264(numbers) = &mut self.coder {
+            numbers.jump();
+        }
     }
 }
 
@@ -56,17 +74,27 @@ pub(super) fn skips_numbers(stream: &av::format::stream::Stream<'_>) -> bool {
 const SKIPS_NUMBERS: &str = "gaps_in_frame_num_allowed_flag";
 
 impl Coder {
-    /// Takes the elements in these lines; returns the level of the picture that they belong to.
-    fn level(&mut self, lines: &[String]) -> Option<u8> {
-        let mut level = None;
+    /// Takes the elements in these lines, of one packet.
+    fn header(&mut self, lines: &[String]) -> Header {
+        let mut header = Header::default();
+        let mut numbered = lines.is_empty();
         for (name, value) in lines.iter().filter_map(|line| element(line)) {
-            let stated = match self {
+            let level = match self {
+                Self::H264(numbers) => {
+                    numbered |= name == "frame_num";
+                    header.skips_numbers |= numbers.is_skipped(name, value);
+                    None
+                }
                 Self::H265(state) => state.level(name, value),
                 Self::Av1(state) => state.level(name, value),
             };
-            level = level.max(stated);
+            header.level = header.level.max(level);
         }
-        level
+        // A picture whose number could not be read may have been a reference.
+        if let (Self::H264(numbers), false) = (self, numbered) {
+            numbers.jump();
+        }
+        header
     }
 }
 
@@ -193,7 +221,7 @@ mod tests {
 
     fn level(coder: &mut Coder, elements: &[(&str, i64)]) -> Option<u8> {
         let line = |(name, value): &(&str, i64)| format!("12          {name}          00111 = {value}\n");
-        coder.level(&elements.iter().map(line).collect::<Vec<_>>())
+        coder.header(&elements.iter().map(line).collect::<Vec<_>>()).level
     }
 
     #[test]

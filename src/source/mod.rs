@@ -16,6 +16,7 @@ mod error;
 mod extent;
 mod ffv1;
 pub(crate) mod file;
+mod frame_numbers;
 pub(crate) mod gaps;
 mod headers;
 pub mod host;

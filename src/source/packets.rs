@@ -140,6 +140,7 @@ impl Packets {
 
     /// Forgets what was read.
     fn forget(&mut self) {
+        self.check.jump();
         self.read.clear();
         self.trimmed = false;
         self.latest_dts = None;

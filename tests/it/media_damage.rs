@@ -145,7 +145,8 @@ fn pictures_predicted_from_packets_that_were_lost_are_not_trusted_and_each_has_i
         let sound = read(&whole, 1);
         assert!(sound.len() == 60 && sound.iter().all(|frame| !frame.1), "{encoder}");
         let mut damaged = 0;
-        for lost in [0..1, 0..3, 5..6, 15..17, 26..27, 27..30] {
+        // Every packet of a group alone: with B pictures after it, a lost one has the number that the next one has.
+        for lost in [0..1, 0..3, 15..17, 27..30].into_iter().chain((24..36).map(|lost| lost..lost + 1)) {
             without(lost.clone(), &whole, &cut);
             for threads in [1, 2] {
                 let found = read(&cut, threads);
@@ -156,7 +157,7 @@ fn pictures_predicted_from_packets_that_were_lost_are_not_trusted_and_each_has_i
             }
         }
         // Most of a group each time, and no more.
-        assert!((40..=12 * 12).contains(&damaged), "{encoder}, {b_frames} B pictures: {damaged}");
+        assert!((80..=2 * 16 * 12).contains(&damaged), "{encoder}, {b_frames} B pictures: {damaged}");
     }
 }
 
