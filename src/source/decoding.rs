@@ -4,14 +4,14 @@
 //! packets state. Which of them are passed on, and when they were taken, `file` decides.
 
 use super::check::Verdict;
-use super::container::{MAX_REORDERED, open_decoder};
+use super::container::{MAX_REORDERED, is_raw, open_decoder};
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
 use super::headers::skips_numbers;
 use super::messages::{Messages, Said};
 use super::packets::{Packets, Read};
 use super::quantisation::Stated;
-use super::turns::{self, Turns};
+use super::turns::{self, Turn, Turns};
 use super::{Clock, SourceError};
 use crate::plural::plural;
 use ffmpeg_the_third as av;
@@ -39,6 +39,8 @@ pub(super) struct Decoded {
     pub in_turn: bool,
     /// The last packet whose loss would give it another turn.
     overtaken_up_to: u64,
+    /// Whether none that is shown before it can be missing at the end.
+    overtaken_in_full: bool,
 }
 
 impl Decoded {
@@ -162,7 +164,18 @@ impl Decoding {
     /// Whether a picture is sound, as far as known by now.
     pub(super) fn is_sound(&self, picture: &Decoded) -> bool {
         let misplaced = self.damage.has_failed(picture.number + 1..=picture.overtaken_up_to);
-        self.damage.is_sound(picture.number, picture.pts()) && !misplaced
+        self.damage.is_sound(picture.number, picture.pts()) && !misplaced && !self.may_lack_before(picture)
+    }
+
+    /// Whether packets that are missing at the end may have given pictures that are shown before this one. No raw
+    /// stream tells that it ends early.
+    pub(super) fn may_lack_before(&self, picture: &Decoded) -> bool {
+        let is_recording = self.packets.clock == Clock::Container;
+        let may_end_early = is_raw(self.packets.input()) || self.packets.ends_early.is_some();
+        // What is shown before this one is shown before those after it, too.
+        let is_complete = picture.overtaken_in_full || self.held.iter().any(|after| after.overtaken_in_full);
+        let last = self.damage.number_before(0);
+        self.draining && is_recording && may_end_early && picture.overtaken_up_to > last && !is_complete
     }
 
     /// The time of a damaged packet that gave no picture, if there is one before `pts`; each is returned once.
@@ -241,8 +254,8 @@ impl Decoding {
         {
             self.damage.picture_in_turn(turn.number, turn.shown, damaged);
             self.give_no_picture(turn.lost);
-            let (number, time, overtaken_up_to) = (turn.number, Some(turn.shown), turn.overtaken_up_to);
-            return Decoded { frame, number, time, in_turn: true, overtaken_up_to };
+            let Turn { shown, number, overtaken_up_to, overtaken_in_full, .. } = turn;
+            return Decoded { frame, number, time: Some(shown), in_turn: true, overtaken_up_to, overtaken_in_full };
         }
         let in_turn = self.packets.takes_turns || frame.pts().is_none();
         let time = if in_turn { self.turns.next() } else { frame.pts() };
@@ -252,7 +265,7 @@ impl Decoding {
             self.undecoded.remove(&pts);
             self.note_kept_back(pts);
         }
-        Decoded { frame, number, time, in_turn, overtaken_up_to: number }
+        Decoded { frame, number, time, in_turn, overtaken_up_to: number, overtaken_in_full: true }
     }
 
     /// Packets in turn give no picture any more.

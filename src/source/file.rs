@@ -73,6 +73,8 @@ pub struct VideoFile {
     frame_count_hint: Option<u64>,
     ended: bool,
     faults: StreamFaults,
+    /// Pictures whose places are not known, as packets may be missing at the end.
+    unplaced: u64,
     /// Frames without a time stamp since the last with one.
     unstamped_in_a_row: u32,
     seq: u64,
@@ -179,6 +181,7 @@ impl VideoFile {
             span: options.span,
             ended: false,
             faults: StreamFaults::default(),
+            unplaced: 0,
             unstamped_in_a_row: 0,
             seq: 0,
             arrival: None,
@@ -222,10 +225,30 @@ impl VideoFile {
         self.decoding.restart()
     }
 
+    /// What becomes of pictures that are not trusted.
+    fn fate(&self) -> &'static str {
+        if self.keep_damaged { "not measured" } else { "left out" }
+    }
+
+    /// A picture's place is not known, as packets may be missing at the end.
+    fn leave_out_last(&mut self, stamp: Timestamp) {
+        self.faults.pictures_left_out += 1;
+        self.unplaced += 1;
+        if self.unplaced == 1 && self.decoding.packets.ends_early.is_none() {
+            tracing::warn!(
+                "{}: the pictures from {} s on are {}: nothing tells whether the stream is complete, and if packets \
+                 are missing at its end, these pictures belong to later times",
+                self.path.display(),
+                stamp.seconds(),
+                self.fate()
+            );
+        }
+    }
+
     fn leave_out(&mut self, stamp: Timestamp) {
         self.faults.pictures_left_out += 1;
-        if self.faults.pictures_left_out == 1 && self.decoding.packets.ends_early.is_none() {
-            let fate = if self.keep_damaged { "not measured" } else { "left out" };
+        if self.faults.pictures_left_out == self.unplaced + 1 && self.decoding.packets.ends_early.is_none() {
+            let fate = self.fate();
             tracing::warn!(
                 "{}: the picture at {} s is damaged and {fate}, as are those predicted from it; more are counted",
                 self.path.display(),
@@ -287,7 +310,7 @@ impl VideoFile {
     fn end(&mut self) -> Result<Option<Frame>, SourceError> {
         self.ended = true;
         self.faults().report(&self.path);
-        if self.stated.is_some() && self.faults.pictures_left_out > 0 {
+        if self.stated.is_some() && self.faults.pictures_left_out > self.unplaced {
             tracing::warn!(
                 "{}: a raw stream has no times: if the damage left no trace of some pictures, those after it are too \
                  early by as many frames",
@@ -365,7 +388,11 @@ impl VideoFile {
             }
             let sound = self.decoding.is_sound(&decoded);
             if !sound {
-                self.leave_out(stamp);
+                if self.decoding.may_lack_before(&decoded) {
+                    self.leave_out_last(stamp);
+                } else {
+                    self.leave_out(stamp);
+                }
                 if !self.keep_damaged {
                     self.missing = self.missing.saturating_add(1);
                     continue;

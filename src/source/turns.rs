@@ -44,6 +44,8 @@ pub(super) struct Turn {
     pub number: u64,
     /// The last packet whose picture may be shown before it, by number: if one up to that is lost, the place is wrong.
     pub overtaken_up_to: u64,
+    /// Whether as many were shown before it that came after it as ever were: no more are to be expected.
+    pub overtaken_in_full: bool,
     /// Packets before it that have given no picture, at about their places.
     pub lost: Vec<Packet>,
 }
@@ -81,7 +83,8 @@ impl Turns {
         if self.taken.len() > REMEMBERED {
             self.taken.pop_front();
         }
-        Some(Turn { shown, number, overtaken_up_to: number + self.most_overtook as u64, lost })
+        let (overtaken_up_to, overtaken_in_full) = (number + self.most_overtook as u64, overtook == self.most_overtook);
+        Some(Turn { shown, number, overtaken_up_to, overtaken_in_full, lost })
     }
 
     /// The packets whose pictures have not come, at the places that are left: all are lost when the stream has ended.
@@ -137,6 +140,19 @@ mod tests {
     #[test]
     fn pictures_take_the_places_of_their_packets_in_the_order_of_presentation() {
         assert_eq!(shown(&ORDER.map(Some)), ((0..13).collect(), vec![]));
+    }
+
+    #[test]
+    fn a_picture_is_overtaken_in_full_by_as_many_as_ever_overtook_one() {
+        let mut turns = Turns::default();
+        // The second B picture before 9 has not come.
+        let order = [0, 3, 1, 2, 6, 4, 5, 9, 7];
+        order.iter().zip(0..).for_each(|(_, place)| turns.packet(Packet { place, number: 0 }));
+        let mut pictures: Vec<_> = order.into_iter().zip(0..).collect();
+        pictures.sort_unstable();
+        let known = pictures.iter().map(|(at, place)| turns.picture(*place, at % 3 == 0).unwrap().overtaken_in_full);
+        // Before the first one that is overtaken nothing is known of any.
+        assert_eq!(known.collect::<Vec<_>>(), [true, true, true, true, false, false, true, false, false]);
     }
 
     #[test]

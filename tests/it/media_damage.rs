@@ -302,7 +302,9 @@ fn damage_in_streams_without_times_costs_its_own_pictures_with_any_number_of_thr
         let bytes = std::fs::read(&path).unwrap();
         let sound = read_timeless(&path, 1);
         let stamps = |frames: &[(i64, bool, Vec<u8>)]| frames.iter().map(|frame| frame.0).collect::<Vec<_>>();
-        assert!(sound.len() == 72 && sound.iter().all(|frame| !frame.1), "{name}");
+        // A raw stream does not tell that it is complete: none of its last B pictures is known to be in its place.
+        let certain = if name == "reordered.h264" { 70 } else { 72 };
+        assert!(sound.len() == 72 && sound[..certain].iter().all(|frame| !frame.1), "{name}");
         let coded = coded(&bytes);
         assert_eq!(coded.len(), 72, "{name}");
         for at in 25..36 {
@@ -329,6 +331,30 @@ fn damage_in_streams_without_times_costs_its_own_pictures_with_any_number_of_thr
                 }
             }
         }
+    }
+}
+
+/// Pictures take the places of packets in turn: what would have been shown before the last ones has not come.
+#[test]
+fn a_stream_without_times_that_ends_between_two_packets_misplaces_no_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let pts: Vec<i64> = (0..40).collect();
+    for name in ["whole.h264", "whole.avi"] {
+        let (whole, cut) = (folder.path().join(name), folder.path().join(name.replace("whole", "cut")));
+        write(&whole, &Recording { pts: &pts, size_px: [160, 120], time_base: (1, 50), ..Recording::default() });
+        let bytes = std::fs::read(&whole).unwrap();
+        let sound = read_timeless(&whole, 1);
+        let mut left_out = 0;
+        for picture in coded(&bytes).into_iter().skip(20) {
+            std::fs::write(&cut, &bytes[..picture.end]).unwrap();
+            let found = read_timeless(&cut, 1);
+            let what = format!("{name} up to byte {}", picture.end);
+            assert!(lies(&found, &sound) == 0 && found.len() >= 20, "{what}");
+            let certain = found.len().saturating_sub(4);
+            assert!(found[..certain].iter().all(|frame| !frame.1), "{what}");
+            left_out += found.iter().filter(|frame| frame.1).count();
+        }
+        println!("{name}: {left_out} pictures left out");
     }
 }
 
