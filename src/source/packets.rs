@@ -10,7 +10,7 @@ use super::messages::{self, OfContainer};
 use super::times::seconds;
 use super::{Clock, SourceError, Span};
 use ffmpeg_the_third as av;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -64,6 +64,8 @@ pub(super) struct Packets {
     damage_told: bool,
     /// The latest time of decoding that a packet states.
     latest_dts: Option<i64>,
+    /// Of an AVI, how often its packets are so far apart, in times of decoding.
+    steps: BTreeMap<i64, u64>,
     /// Packets read since the beginning; `None` after a jump.
     pub count: Option<i64>,
     /// When the first packet was read.
@@ -94,6 +96,7 @@ impl Packets {
             trimmed: false,
             damage_told: false,
             latest_dts: None,
+            steps: BTreeMap::new(),
             count: Some(0),
             first_read: None,
         })
@@ -196,6 +199,9 @@ impl Packets {
             packet.set_pts(if is_avi { packet.dts() } else { self.count });
         }
         self.note_arrival(&packet);
+        if let (true, Some(dts), Some(latest)) = (is_avi, packet.dts(), self.latest_dts) {
+            *self.steps.entry(dts.saturating_sub(latest)).or_default() += 1;
+        }
         self.latest_dts = packet.dts().max(self.latest_dts);
         self.first_read.get_or_insert_with(Instant::now);
         self.count = self.count.map(|count| count + 1);
@@ -241,13 +247,16 @@ impl Packets {
     pub(super) fn note_missing(&mut self) {
         let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
         let (Some(latest), true) = (self.latest_dts, self.input.format().name() == AVI) else { return };
-        let missing = frames.saturating_sub(latest.saturating_add(1));
+        // Programs count places between their pictures, too, and leave them empty.
+        let usual = self.steps.iter().max_by_key(|(_, often)| **often).map_or(1, |(step, _)| (*step).max(1));
+        let missing = frames.saturating_sub(latest.saturating_add(1)) / usual;
         if self.count.is_none() || missing < 1 {
             return;
         }
         let found = format!(
-            "of the {frames} frames that its header declares {missing} were not found. AVI has no times: if they are \
-             missing in the middle, those after that place are too early by as many frames"
+            "of the {} frames that its header declares {missing} were not found. AVI has no times: if they are \
+             missing in the middle, those after that place are too early by as many frames",
+            frames / usual
         );
         self.ends_early = Some(self.ends_early.take().map_or(found.clone(), |why| format!("{why}; {found}")));
     }

@@ -441,6 +441,29 @@ fn frames_that_are_missing_in_the_middle_of_an_avi_are_told() {
     }
 }
 
+/// Programs that write 25 frames per second into an AVI of 50 leave every second place empty.
+#[test]
+fn empty_places_of_an_avi_are_no_missing_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("empty.avi");
+    let pts: Vec<i64> = (0..50).map(|k| 2 * k).collect();
+    write(&path, &Recording { pts: &pts, time_base: (1, 50), b_frames: 0, ..Recording::default() });
+    let mut bytes = std::fs::read(&path).unwrap();
+    // The last place is empty, too: `dwTotalFrames` in `avih`, `dwLength` in `strh`.
+    let after = |name: &[u8]| bytes.windows(4).position(|four| four == name).unwrap() + 8;
+    let places = [after(b"avih") + 16, after(b"strh") + 32];
+    for (frames, missing) in [(99_u32, None), (100, None), (106, Some("of the 53 frames that its header declares 3"))] {
+        for at in places {
+            bytes[at..at + 4].copy_from_slice(&frames.to_le_bytes());
+        }
+        std::fs::write(&path, &bytes).unwrap();
+        let (found, _, early) = read_to_the_end(&path);
+        assert_eq!(found, 50);
+        assert!(early.is_some() == missing.is_some(), "{frames}: {early:?}");
+        assert!(missing.is_none_or(|words| early.is_some_and(|why| why.contains(words))), "{frames}");
+    }
+}
+
 /// An edit list says which part of an MP4 is shown.
 #[test]
 fn what_an_edit_list_leaves_out_is_left_out() {
