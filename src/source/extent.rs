@@ -11,6 +11,8 @@ use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom};
 pub(crate) enum Extent {
     /// Everything that the container declares.
     Whole,
+    /// An MP4 that another one follows, as programs that know nothing of MP4 join them: libav reads the first.
+    Several,
     /// The container declares no lengths, or is of an unknown kind.
     Undeclared,
     /// It ends early.
@@ -139,7 +141,8 @@ fn ebml<R: Read + Seek>(walk: &mut Walk<R>) -> io::Result<Extent> {
 }
 
 fn boxes<R: Read + Seek>(walk: &mut Walk<R>) -> io::Result<Extent> {
-    let mut index = false;
+    // Recordings in fragments may repeat their head; libav reads all fragments.
+    let (mut heads, mut indices, mut fragments) = (0, 0, 0);
     let mut short = None;
     while walk.at < walk.length && short.is_none() {
         let mut head = [0; 8];
@@ -161,9 +164,19 @@ fn boxes<R: Read + Seek>(walk: &mut Walk<R>) -> io::Result<Extent> {
             size => u64::from(size) - 8,
         };
         short = walk.skip(size)?;
-        index |= &name == b"moov" && short.is_none();
+        match &name {
+            b"ftyp" => heads += 1,
+            b"moov" if short.is_none() => indices += 1,
+            b"moof" => fragments += 1,
+            _ => {}
+        }
     }
-    Ok(if index { short.unwrap_or(Extent::Whole) } else { Extent::NoIndex })
+    Ok(match short {
+        _ if indices == 0 => Extent::NoIndex,
+        Some(short) => short,
+        None if fragments == 0 && heads.max(indices) > 1 => Extent::Several,
+        None => Extent::Whole,
+    })
 }
 
 fn riff<R: Read + Seek>(walk: &mut Walk<R>) -> io::Result<Extent> {
@@ -235,6 +248,16 @@ mod tests {
         assert_eq!(of(&end), Extent::Whole);
         assert_eq!(of(&end[..30]), Extent::NoIndex);
         assert_eq!(of(&end[..39]), Extent::NoIndex);
+    }
+
+    #[test]
+    fn an_mp4_behind_another_is_told() {
+        let [head, data, index, fragment] =
+            [b"ftyp", b"mdat", b"moov", b"moof"].map(|name| [&[0, 0, 0, 9][..], name, &[7]].concat());
+        let recording = [&head[..], &data, &index].concat();
+        assert_eq!(of(&recording.repeat(2)), Extent::Several);
+        assert_eq!(of(&[&recording[..], &head, &data].concat()), Extent::Several);
+        assert_eq!(of(&[&head[..], &index, &fragment, &data].concat().repeat(2)), Extent::Whole);
     }
 
     #[test]

@@ -112,6 +112,14 @@ impl VideoFile {
             Extent::Short { found_bytes, declared_bytes } => {
                 Some(format!("the file has {found_bytes} of at least {declared_bytes} bytes"))
             }
+            Extent::Several => {
+                tracing::warn!(
+                    "{}: holds several recordings one after the other; only the first is read: split it, or join them \
+                     with a program that knows MP4",
+                    path.display()
+                );
+                None
+            }
             Extent::Whole | Extent::Undeclared => None,
         };
         let input = open_input(&path)?;

@@ -131,6 +131,19 @@ fn a_missing_number_at_a_stated_rate_and_sixteen_bits_are_named() {
     assert!(found[0].contains("img900.png, and the numbers are not evenly spaced"), "{found:?}");
 }
 
+/// As `cat` joins them: the second one has an index of its own, which libav skips.
+#[test]
+fn an_mp4_behind_another_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("joined.mp4");
+    let pts: Vec<i64> = (0..10).map(|i| 20 * i).collect();
+    write(&path, &Recording { pts: &pts, ..Recording::default() });
+    assert_eq!(warnings(&path, SourceOptions::default()), Vec::<String>::new());
+    std::fs::write(&path, std::fs::read(&path).unwrap().repeat(2)).unwrap();
+    let found = warnings(&path, SourceOptions::default());
+    assert!(found.iter().any(|warning| warning.contains("only the first is read")), "{found:?}");
+}
+
 /// One that is not of the sequence would shift all after it.
 #[test]
 fn pictures_of_which_some_have_no_number_have_no_times_by_rate() {
