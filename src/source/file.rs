@@ -163,7 +163,9 @@ impl VideoFile {
         let decoding = Decoding::new(path.clone(), input, options.decoder_threads, clock)?;
         let [rate, average] = decoding.packets.rates.map(|rate| (rate.0, rate.1));
         let stated_ns = options.stated_rate.and_then(|rate| Some(rate.stamp_ns(1)? as f64));
-        let declared_ns = stated_ns.or_else(|| plausible_period_ns(rate, average));
+        let time_base = decoding.packets.time_base;
+        let tick_ns = 1e9 * f64::from(time_base.0) / f64::from(time_base.1.max(1));
+        let declared_ns = stated_ns.or_else(|| plausible_period_ns(rate, average, tick_ns));
         let origin_ns = match decoding.packets.input().metadata().get(ORIGIN_TAG) {
             Some(text) => text.parse().map_err(|_| SourceError::NotAVideo {
                 path: path.clone(),
@@ -171,8 +173,6 @@ impl VideoFile {
             })?,
             None => 0,
         };
-        let time_base = decoding.packets.time_base;
-        let tick_ns = 1e9 * f64::from(time_base.0) / f64::from(time_base.1.max(1));
         Ok(Self {
             pictures: PictureMaker::new(path.clone(), decoding.decoder().id()),
             size_px: [decoding.decoder().width(), decoding.decoder().height()],

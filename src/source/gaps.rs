@@ -198,11 +198,14 @@ impl GapCounter {
 
 /// The period of a declared rate, if it can be a camera's: between 0.1 and 10000 frames per second, and the average
 /// rate the container gives neither above it nor below 60 % of it. Rates as (numerator, denominator). For recordings of
-/// variable rate libav often gives the rate of the clock's ticks, and no average or a much lower one.
-pub(crate) fn plausible_period_ns(rate: (i32, i32), average: (i32, i32)) -> Option<f64> {
+/// variable rate, and of one that is no whole number of the clock's ticks, libav often gives the rate of the ticks, and no
+/// average or a lower one.
+pub(crate) fn plausible_period_ns(rate: (i32, i32), average: (i32, i32), tick_ns: f64) -> Option<f64> {
     let hertz = |(n, d): (i32, i32)| (n > 0 && d > 0).then(|| f64::from(n) / f64::from(d));
     let rate = hertz(rate).filter(|r| (0.1..=1e4).contains(r))?;
-    (0.6..=1.05).contains(&(hertz(average)? / rate)).then_some(1e9 / rate)
+    let is_a_tick = 1e9 / rate < 1.5 * tick_ns;
+    let least = if is_a_tick { 0.95 } else { 0.6 };
+    (least..=1.05).contains(&(hertz(average)? / rate)).then_some(1e9 / rate)
 }
 
 #[cfg(test)]
@@ -328,11 +331,14 @@ mod tests {
 
     #[test]
     fn only_a_rate_that_can_be_a_cameras_is_taken() {
-        assert_eq!(plausible_period_ns((50, 1), (50, 1)), Some(20e6));
-        assert_eq!(plausible_period_ns((50, 1), (0, 0)), None);
-        assert_eq!(plausible_period_ns((50, 1), (40, 1)), Some(20e6));
-        assert_eq!(plausible_period_ns((1000, 1), (45, 1)), None);
-        assert_eq!(plausible_period_ns((90_000, 1), (0, 1)), None);
-        assert_eq!(plausible_period_ns((0, 0), (30, 1)), None);
+        assert_eq!(plausible_period_ns((50, 1), (50, 1), 1e6), Some(20e6));
+        assert_eq!(plausible_period_ns((50, 1), (0, 0), 1e6), None);
+        assert_eq!(plausible_period_ns((50, 1), (40, 1), 1e6), Some(20e6));
+        assert_eq!(plausible_period_ns((1000, 1), (45, 1), 1e6), None);
+        assert_eq!(plausible_period_ns((90_000, 1), (0, 1), 1e6), None);
+        assert_eq!(plausible_period_ns((0, 0), (30, 1), 1e6), None);
+        // 60 frames per second on a clock of 10 ms, and 100.
+        assert_eq!(plausible_period_ns((100, 1), (60, 1), 1e7), None);
+        assert_eq!(plausible_period_ns((100, 1), (100, 1), 1e7), Some(1e7));
     }
 }
