@@ -72,7 +72,10 @@ pub(crate) fn url_of(path: &Path) -> OsString {
 
 pub(super) fn open_input(path: &Path) -> Result<av::format::context::Input, SourceError> {
     let not_a_video = |reason: String| SourceError::NotAVideo { path: path.to_path_buf(), reason };
-    let input = av::format::input(url_of(path)).map_err(|error| not_a_video(error.to_string()))?;
+    // libav shows pictures of a GIF for 0.1 s that have less than 0.02 s.
+    let options: av::Dictionary = [("min_delay", "0")].into_iter().collect();
+    let input =
+        av::format::input_with_dictionary(url_of(path), options).map_err(|error| not_a_video(error.to_string()))?;
     // libav renders plain text as a terminal would.
     match input.format().name() {
         "tty" => Err(not_a_video("it is a text file".to_owned())),
