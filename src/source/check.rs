@@ -117,6 +117,13 @@ fn is_trusting(codec: av::codec::Id) -> bool {
     )
 }
 
+/// Whether a coder keeps pictures nearly as they are, and its decoder takes any data for a picture: a changed bit spoils
+/// a block, a row or all that follows it. (One in raw pictures changes one sample.)
+fn has_no_check(codec: av::codec::Id) -> bool {
+    use av::codec::Id;
+    matches!(codec, Id::HUFFYUV | Id::FFVHUFF | Id::UTVIDEO | Id::MAGICYUV | Id::LJPEG | Id::QTRLE | Id::CFHD)
+}
+
 impl Examiner {
     fn of(path: &Path, stream: &av::format::stream::Stream<'_>) -> Option<Self> {
         let codec = stream.parameters().id();
@@ -129,9 +136,10 @@ impl Examiner {
         }
         match codec {
             av::codec::Id::FFV1 if ffv1::has_checksums(&configuration(stream)) == Some(true) => Some(Self::Ffv1),
-            av::codec::Id::FFV1 => {
+            _ if codec == av::codec::Id::FFV1 || has_no_check(codec) => {
+                let name = codec.name().to_ascii_uppercase();
                 tracing::warn!(
-                    "{}: its pictures (FFV1) have no checksums: damage in them cannot be noticed",
+                    "{}: its pictures ({name}) have no checksums: damage in them cannot be noticed",
                     path.display()
                 );
                 None

@@ -47,7 +47,7 @@ fn loses_little(codec: Id) -> bool {
 /// Whether a coder predicts pictures from others without numbering them: where one was lost after coding, its decoder
 /// cannot know.
 fn numbers_nothing(codec: Id) -> bool {
-    matches!(codec, Id::VP8 | Id::MPEG4 | Id::MPEG1VIDEO | Id::MPEG2VIDEO | Id::H263 | Id::FLV1 | Id::THEORA)
+    matches!(codec, Id::VP8 | Id::AV1 | Id::MPEG4 | Id::MPEG1VIDEO | Id::MPEG2VIDEO | Id::H263 | Id::FLV1 | Id::THEORA)
         || matches!(codec, Id::MSMPEG4V1 | Id::MSMPEG4V2 | Id::MSMPEG4V3 | Id::WMV1 | Id::WMV2 | Id::WMV3 | Id::VC1)
 }
 

@@ -144,6 +144,21 @@ fn an_mp4_behind_another_is_told() {
     assert!(found.iter().any(|warning| warning.contains("only the first is read")), "{found:?}");
 }
 
+/// A changed bit may spoil the rest of the picture, and nothing shows it.
+#[test]
+fn pictures_without_any_check_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let pts: Vec<i64> = (0..3).map(|i| 20 * i).collect();
+    for (encoder, told) in [("huffyuv", true), ("ffvhuff", true), ("rawvideo", false)] {
+        let path = folder.path().join(format!("{encoder}.mkv"));
+        let pixel = Pixel::YUV422P;
+        write(&path, &Recording { pts: &pts, encoder, b_frames: 0, pixel, ..Recording::default() });
+        let words = format!("({}) have no checksums", encoder.to_ascii_uppercase());
+        let found = warnings(&path, SourceOptions::default());
+        assert_eq!(found.iter().any(|warning| warning.contains(&words)), told, "{found:?}");
+    }
+}
+
 /// One that is not of the sequence would shift all after it.
 #[test]
 fn pictures_of_which_some_have_no_number_have_no_times_by_rate() {
