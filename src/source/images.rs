@@ -23,7 +23,7 @@ use crate::csv_lines::Lines;
 
 use super::gaps::GapCounter;
 use super::jpeg;
-use super::names::{conversion_advice, is_picture_name};
+use super::names::{conversion_advice, is_picture_name, to_png};
 use super::times::{FrameRate, parse_seconds_ns, seconds};
 use super::{
     Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, StreamFaults, Timestamp,
@@ -104,14 +104,14 @@ impl ImageFolder {
             let (from_s, to_s) = (span.from_ns.map(seconds), span.to_ns.map(seconds));
             return Err(SourceError::EmptySpan { path: folder, from_s, to_s, before_s, after_s });
         };
-        let path = folder.join(name);
         // The first readable one sets the size.
-        let size = |(name, _): &(String, i64)| {
-            let reader = image::ImageReader::open(folder.join(name)).ok()?.with_guessed_format().ok()?;
-            reader.into_dimensions().ok()
-        };
+        let size = |(name, _): &(String, i64)| size_px(&folder.join(name)).ok();
         let Some((width, height)) = rows.iter().find_map(size) else {
-            return Err(SourceError::Picture { path, reason: "and no other picture of this folder is".to_owned() });
+            let path = folder.join(name);
+            let why = size_px(&path).err().map(|error| error.to_string()).unwrap_or_default();
+            let ending = path.extension().unwrap_or_default().display();
+            let reason = format!("{why}. Nor is any other in this folder: {}", to_png(&ending.to_string()));
+            return Err(SourceError::Picture { path, reason });
         };
         Ok(Self {
             folder,
@@ -165,8 +165,9 @@ impl ImageFolder {
         if decoded.color().bytes_per_pixel() > decoded.color().channel_count() && !self.depth_named {
             self.depth_named = true;
             tracing::warn!(
-                "{}: samples of 16 bits are reduced to 8 (65535 becomes 255), here and in the pictures after it",
-                path.display()
+                "{}: samples of 16 bits are reduced to 8 (65535 becomes 255), here and in the pictures after it{}",
+                path.display(),
+                depth_advice(&decoded).unwrap_or_default()
             );
         }
         match picture(decoded) {
@@ -230,6 +231,11 @@ impl FrameSource for ImageFolder {
     }
 }
 
+/// Width and height that a picture's head states, pixels.
+fn size_px(path: &Path) -> image::ImageResult<(u32, u32)> {
+    image::ImageReader::open(path)?.with_guessed_format()?.into_dimensions()
+}
+
 /// How many pictures a TIFF file has; 0 for other files and for those that do not say. Counts no further than two.
 fn tiff_pages(bytes: &[u8]) -> usize {
     let little = match bytes.first_chunk() {
@@ -265,6 +271,17 @@ fn picture(decoded: DynamicImage) -> Option<Result<Picture, PictureError>> {
         _ => return None,
     };
     Some(Picture::from_planes(width, height, format, Colour::SRGB, vec![samples]))
+}
+
+/// What to do with samples of a camera of fewer bits that were stored as they are: they would be nearly black.
+fn depth_advice(decoded: &DynamicImage) -> Option<String> {
+    let most = decoded.as_flat_samples_u16()?.samples.iter().copied().max().filter(|most| *most > 0)?;
+    let bits = [8, 10, 12, 14].into_iter().find(|bits| most >> bits == 0)?;
+    let factor = 1 << (16 - bits);
+    Some(format!(
+        ". They reach only {most}: if they are those of a camera of {bits} bits, multiply them by {factor} when storing \
+         them, or the pictures are too dark"
+    ))
 }
 
 /// To the nearest of v / 257.
@@ -346,8 +363,18 @@ fn positions(folder: &Path, names: &[String]) -> Result<Vec<u64>, SourceError> {
     let count = names.len() as u64;
     let in_a_row = || Ok((0..count).collect());
     let Some(numbers) = names.iter().map(number).collect::<Option<Vec<_>>>() else { return in_a_row() };
+    let neighbours = || names.iter().zip(&numbers).zip(names.iter().zip(&numbers).skip(1));
+    if let Some(((before, _), (after, _))) = neighbours().find(|((_, before), (_, after))| after <= before) {
+        tracing::warn!(
+            "{}: {before} is followed by {after}, whose number is not higher: are there pictures of two cameras or \
+             recordings in this folder? At the stated frame rate one picture is taken to follow the other; keep one \
+             sequence in a folder, or give the times in times.csv",
+            folder.display()
+        );
+        return in_a_row();
+    }
     let steps = || numbers.iter().zip(numbers.iter().skip(1)).map(|(a, b)| b.saturating_sub(*a));
-    let usual = steps().min().unwrap_or(1);
+    let usual = lower_median(steps().collect()).unwrap_or(1);
     let jump = names.iter().zip(names.iter().skip(1)).zip(steps()).find(|(_, step)| *step != usual);
     let Some(((before, after), _)) = jump else { return in_a_row() };
     let place = folder.display();
@@ -366,6 +393,12 @@ fn positions(folder: &Path, names: &[String]) -> Result<Vec<u64>, SourceError> {
             in_a_row()
         }
     }
+}
+
+/// Of an even count, the lower of the two in the middle.
+fn lower_median(mut of: Vec<u64>) -> Option<u64> {
+    of.sort_unstable();
+    of.get(of.len().saturating_sub(1) / 2).copied()
 }
 
 /// The table's rows, checked against the pictures in the folder.
@@ -456,6 +489,24 @@ mod tests {
             eight_bits(&[0, 128, 129, 257, 32_767, 32_768, 65_406, 65_407, 65_535]),
             [0, 0, 1, 1, 127, 128, 254, 255, 255]
         );
+    }
+
+    #[test]
+    fn a_camera_of_fewer_bits_than_its_pictures_is_told_by_the_largest_value() {
+        let advice = |most: u16| {
+            let picture = image::ImageBuffer::<image::Luma<u16>, _>::from_raw(2, 1, vec![most, most / 2]).unwrap();
+            depth_advice(&DynamicImage::ImageLuma16(picture))
+        };
+        for (most, words) in [
+            (1023, "reach only 1023: if they are those of a camera of 10 bits, multiply them by 64"),
+            (3900, "12 bits, multiply them by 16 "),
+            (16_383, "14 bits, multiply them by 4 "),
+        ] {
+            let advice = advice(most).unwrap();
+            assert!(advice.contains(words), "{advice}");
+        }
+        assert_eq!([0, 16_384, 65_535].map(advice), [None, None, None]);
+        assert_eq!(depth_advice(&DynamicImage::new_luma8(2, 2)), None);
     }
 
     #[test]

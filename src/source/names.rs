@@ -16,8 +16,9 @@ pub(crate) fn is_picture_name(path: &Path) -> bool {
 }
 
 /// Extensions of pictures that are not supported.
-const OTHER_PICTURES: [&str; 16] = [
+const OTHER_PICTURES: [&str; 17] = [
     "webp", "jp2", "j2k", "jpf", "jpx", "jpm", "heic", "heif", "avif", "jxl", "gif", "exr", "dng", "cr2", "nef", "tga",
+    "dpx",
 ];
 
 /// How to convert unsupported pictures in a folder; `None` when there are none.
@@ -32,10 +33,12 @@ pub(crate) fn conversion_advice(folder: &Path) -> Option<String> {
     let first = endings.first()?;
     let pictures = plural(count, "picture");
     let all = endings.join(", ");
-    Some(format!(
-        "{pictures} ending in {all} cannot be read: make PNG of them, which loses nothing, for example with \
-         ImageMagick: mogrify -format png *.{first}"
-    ))
+    Some(format!("{pictures} ending in {all} cannot be read: {}", to_png(first)))
+}
+
+/// How to convert pictures of this ending.
+pub(crate) fn to_png(ending: &str) -> String {
+    format!("make PNG of them, which loses nothing, for example with ImageMagick: mogrify -format png *.{ending}")
 }
 
 /// Keys in an address's query, or in a text of a pipeline, whose values are secrets; and how others end.

@@ -131,17 +131,35 @@ fn a_missing_number_at_a_stated_rate_and_sixteen_bits_are_named() {
     assert!(found[0].contains("img900.png, and the numbers are not evenly spaced"), "{found:?}");
 }
 
-/// As `cat` joins them: the second one has an index of its own, which libav skips.
 #[test]
-fn an_mp4_behind_another_is_told() {
+fn pictures_of_two_cameras_in_one_folder_are_doubted() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("joined.mp4");
-    let pts: Vec<i64> = (0..10).map(|i| 20 * i).collect();
-    write(&path, &Recording { pts: &pts, ..Recording::default() });
-    assert_eq!(warnings(&path, SourceOptions::default()), Vec::<String>::new());
-    std::fs::write(&path, std::fs::read(&path).unwrap().repeat(2)).unwrap();
-    let found = warnings(&path, SourceOptions::default());
-    assert!(found.iter().any(|warning| warning.contains("only the first is read")), "{found:?}");
+    for name in ["cam1_0000", "cam1_0001", "cam1_0002", "cam2_0000", "cam2_0001"] {
+        image::GrayImage::new(8, 6).save(folder.path().join(format!("{name}.png"))).unwrap();
+    }
+    let options = SourceOptions { stated_rate: Some("25".parse().unwrap()), ..SourceOptions::default() };
+    let found = warnings(folder.path(), options);
+    let place = "cam1_0002.png is followed by cam2_0000.png, whose number is not higher: are there pictures of two";
+    assert!(found.len() == 1 && found[0].contains(place), "{found:?}");
+}
+
+#[test]
+fn pictures_none_of_which_can_be_read_are_refused_with_a_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["f_0001.tif", "f_0002.tif"] {
+        std::fs::write(folder.path().join(name), b"II*\0 and no more").unwrap();
+    }
+    let options = SourceOptions { stated_rate: Some("25".parse().unwrap()), ..SourceOptions::default() };
+    let error = source::open(folder.path(), options).err().unwrap().to_string();
+    assert!(
+        error.contains("f_0001.tif: is not a picture that can be read: ") && error.contains("png *.tif"),
+        "{error}"
+    );
+    assert!(error.contains("Nor is any other in this folder") && !error.contains("read: ."), "{error}");
+    std::fs::remove_file(folder.path().join("f_0001.tif")).unwrap();
+    std::fs::rename(folder.path().join("f_0002.tif"), folder.path().join("f_0002.dpx")).unwrap();
+    let error = source::open(folder.path(), options).err().unwrap().to_string();
+    assert!(error.contains("1 picture ending in dpx cannot be read"), "{error}");
 }
 
 /// A changed bit may spoil the rest of the picture, and nothing shows it.
@@ -157,6 +175,19 @@ fn pictures_without_any_check_are_named() {
         let found = warnings(&path, SourceOptions::default());
         assert_eq!(found.iter().any(|warning| warning.contains(&words)), told, "{found:?}");
     }
+}
+
+/// As `cat` joins them: the second one has an index of its own, which libav skips.
+#[test]
+fn an_mp4_behind_another_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("joined.mp4");
+    let pts: Vec<i64> = (0..10).map(|i| 20 * i).collect();
+    write(&path, &Recording { pts: &pts, ..Recording::default() });
+    assert_eq!(warnings(&path, SourceOptions::default()), Vec::<String>::new());
+    std::fs::write(&path, std::fs::read(&path).unwrap().repeat(2)).unwrap();
+    let found = warnings(&path, SourceOptions::default());
+    assert!(found.iter().any(|warning| warning.contains("only the first is read")), "{found:?}");
 }
 
 /// One that is not of the sequence would shift all after it.
