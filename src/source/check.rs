@@ -1,5 +1,5 @@
-//! What packets tell before they are decoded: damage that their decoders conceal, pictures that are missing before them,
-//! and their quantisers.
+//! What packets tell before they are decoded: damage that their decoders conceal, pictures that are missing before
+//! them, and their quantisers.
 
 use super::container::configuration;
 use super::headers::{Header, Headers};
@@ -117,8 +117,8 @@ fn is_trusting(codec: av::codec::Id) -> bool {
     )
 }
 
-/// Whether a coder keeps pictures nearly as they are, and its decoder takes any data for a picture: a changed bit spoils
-/// a block, a row or all that follows it. (One in raw pictures changes one sample.)
+/// Whether a coder keeps pictures nearly as they are, and its decoder takes any data for a picture: a changed bit
+/// spoils a block, a row or all that follows it. (One in raw pictures changes one sample.)
 fn has_no_check(codec: av::codec::Id) -> bool {
     use av::codec::Id;
     matches!(codec, Id::HUFFYUV | Id::FFVHUFF | Id::UTVIDEO | Id::MAGICYUV | Id::LJPEG | Id::QTRLE | Id::CFHD)

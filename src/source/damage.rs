@@ -10,9 +10,9 @@
 //! on them.
 //!
 //! Packets may be lost after they were coded, by a recorder or a network. In H.264 and H.265 the next picture refers to
-//! one that is missing, and the decoder or its number says so (see `frame_numbers`). Pictures of damaged packets that the
-//! decoder then keeps to itself are damaged too. Where the container is damaged, so are the packet before that place, of
-//! which a part may be lost, and those after it.
+//! one that is missing, and the decoder or its number says so (see `frame_numbers`). Pictures of damaged packets that
+//! the decoder then keeps to itself are damaged too. Where the container is damaged, so are the packet before that
+//! place, of which a part may be lost, and those after it.
 //!
 //! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the
 //! decoder does not notice. VP8, AV1, MPEG-4 and MPEG-2 do not number their pictures.

@@ -1,8 +1,8 @@
 //! Whether a stream of H.264 lacks a picture that others are predicted from, by the numbers in its headers.
 //!
 //! In the order of decoding each picture has the number after that of the last reference picture (ITU-T H.264, 7.4.3,
-//! `frame_num`). libav's decoder compares with the number of the last picture of any kind. With B pictures, whose number
-//! is that of the reference picture after them, it takes the picture behind a lost one for the next.
+//! `frame_num`). libav's decoder compares with the number of the last picture of any kind. With B pictures, whose
+//! number is that of the reference picture after them, it takes the picture behind a lost one for the next.
 
 use std::collections::BTreeMap;
 

@@ -198,8 +198,8 @@ impl GapCounter {
 
 /// The period of a declared rate, if it can be a camera's: between 0.1 and 10000 frames per second, and the average
 /// rate the container gives neither above it nor below 60 % of it. Rates as (numerator, denominator). For recordings of
-/// variable rate, and of one that is no whole number of the clock's ticks, libav often gives the rate of the ticks, and no
-/// average or a lower one.
+/// variable rate, and of one that is no whole number of the clock's ticks, libav often gives the rate of the ticks, and
+/// no average or a lower one.
 pub(crate) fn plausible_period_ns(rate: (i32, i32), average: (i32, i32), tick_ns: f64) -> Option<f64> {
     let hertz = |(n, d): (i32, i32)| (n > 0 && d > 0).then(|| f64::from(n) / f64::from(d));
     let rate = hertz(rate).filter(|r| (0.1..=1e4).contains(r))?;

@@ -279,8 +279,8 @@ fn depth_advice(decoded: &DynamicImage) -> Option<String> {
     let bits = [8, 10, 12, 14].into_iter().find(|bits| most >> bits == 0)?;
     let factor = 1 << (16 - bits);
     Some(format!(
-        ". They reach only {most}: if they are those of a camera of {bits} bits, multiply them by {factor} when storing \
-         them, or the pictures are too dark"
+        ". They reach only {most}: if they are those of a camera of {bits} bits, multiply them by {factor} when \
+         storing them, or the pictures are too dark"
     ))
 }
 
