@@ -71,8 +71,8 @@ impl RowOutputs {
     }
 }
 
-/// Tracks until the queue is closed; the thread returns why it ended early, if it did, and the controllers. Its warnings
-/// belong to the caller's span.
+/// Tracks until the queue is closed; the thread returns why it ended early, if it did, and the controllers. Its
+/// warnings belong to the caller's span.
 pub(super) fn start_tracker(
     mut tracker: Tracker,
     pool: rayon::ThreadPool,

@@ -72,7 +72,8 @@ pub(crate) fn url_of(path: &Path) -> OsString {
 
 pub(super) fn open_input(path: &Path) -> Result<av::format::context::Input, SourceError> {
     let not_a_video = |reason: String| SourceError::NotAVideo { path: path.to_path_buf(), reason };
-    // libav shows pictures of a GIF for 0.1 s that have less than 0.02 s.
+    // libav shows pictures of a GIF for 0.1 s that have less than 0.02 s. (A delay of 0, which states none, then counts
+    // as 0.01 s.)
     let options: av::Dictionary = [("min_delay", "0")].into_iter().collect();
     let input =
         av::format::input_with_dictionary(url_of(path), options).map_err(|error| not_a_video(error.to_string()))?;

@@ -317,7 +317,10 @@ impl VideoFile {
     /// The stream has ended: complete, early, or empty.
     fn end(&mut self) -> Result<Option<Frame>, SourceError> {
         self.ended = true;
-        self.faults().report(&self.path);
+        let faults = self.faults();
+        // Those whose places are not known were told of, and need not be damaged.
+        let pictures_left_out = faults.pictures_left_out.saturating_sub(self.unplaced);
+        StreamFaults { pictures_left_out, ..faults }.report(&self.path);
         if self.stated.is_some() && self.faults.pictures_left_out > self.unplaced {
             tracing::warn!(
                 "{}: a raw stream has no times: if the damage left no trace of some pictures, those after it are too \

@@ -10,7 +10,8 @@
 //! Assumptions: less than half of the frames are lost where no rate is declared; the rate holds for half a window
 //! (after a change to a slower rate the steps count as losses until the median has adapted). Where no rate is declared,
 //! the first eight steps cannot be judged and count as without loss, and where one is declared those before the first
-//! step of that length: a header may state 60 frames per second and the recording have every eighth.
+//! step of that length: a header may state 60 frames per second and the recording have every eighth. A declared period
+//! of one tick of the clock counts as none where more than 5 % of the frames are missing: it may be the tick alone.
 //!
 //! A recording of truly variable rate has no period: where more than a quarter of the steps are not whole multiples of
 //! the median, or short and long steps take turns (stamps that alternate, or a camera without a declared rate that

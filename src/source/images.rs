@@ -109,8 +109,11 @@ impl ImageFolder {
         let Some((width, height)) = rows.iter().find_map(size) else {
             let path = folder.join(name);
             let why = size_px(&path).err().map(|error| error.to_string()).unwrap_or_default();
-            let ending = path.extension().unwrap_or_default().display();
-            let reason = format!("{why}. Nor is any other in this folder: {}", to_png(&ending.to_string()));
+            let ending = path.extension().unwrap_or_default().display().to_string();
+            let cure =
+                if ending.eq_ignore_ascii_case("png") { String::new() } else { format!(": {}", to_png(&ending)) };
+            let why = why.trim_end_matches('.');
+            let reason = format!("{why}. No other picture of this folder, or of the span asked for, can be read{cure}");
             return Err(SourceError::Picture { path, reason });
         };
         Ok(Self {

@@ -9,6 +9,7 @@ use super::decoded::is_left_out;
 use super::messages::{self, OfContainer};
 use super::times::seconds;
 use super::{Clock, SourceError, Span};
+use crate::plural::plural;
 use ffmpeg_the_third as av;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
@@ -254,9 +255,13 @@ impl Packets {
             return;
         }
         let found = format!(
-            "of the {} frames that its header declares {missing} were not found. AVI has no times: if they are \
-             missing in the middle, those after that place are too early by as many frames",
-            frames / usual
+            "of the {} that its header declares {missing} were not found. AVI has no times: if they are missing in the \
+             middle, those after that place are too early by as many frames",
+            if usual > 1 {
+                format!("{} frames (in {frames} places, one in {usual} with a frame)", frames / usual)
+            } else {
+                plural(frames.unsigned_abs(), "frame")
+            }
         );
         self.ends_early = Some(self.ends_early.take().map_or(found.clone(), |why| format!("{why}; {found}")));
     }

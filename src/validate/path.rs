@@ -46,8 +46,8 @@ pub(crate) struct DesiredPath {
 impl DesiredPath {
     /// Reads columns `x_mm`, `y_mm`, `z_mm` (base frame) and, if they are there, `tan_x`, `tan_y`, `tan_z`.
     ///
-    /// The rows are one period, commanded `periods` times (4 as in the paper, if not given), or several alike, which are
-    /// then commanded as given. A period is `per_period` rows, or else as few as repeat throughout the file.
+    /// The rows are one period, commanded `periods` times (4 as in the paper, if not given), or several alike, which
+    /// are then commanded as given. A period is `per_period` rows, or else as few as repeat throughout the file.
     ///
     /// # Errors
     /// When the file cannot be read, a value is missing, there are fewer than 3 points, they lie on a line, or periods
@@ -115,22 +115,23 @@ impl DesiredPath {
     /// What to say of a file that holds several periods, and of a path whose last point is its first: the file of a
     /// closed curve, which is one command longer than its period.
     pub(crate) fn note(&self) -> Option<String> {
-        if self.is_repetition {
-            let (length, periods) = (self.points.len(), self.periods);
-            return Some(format!(
+        let (length, periods) = (self.points.len(), self.periods);
+        let repetition = self.is_repetition.then(|| {
+            format!(
                 "it holds its first {length} points {periods} times: these are taken for one period \
                  (--points-per-period says otherwise)"
-            ));
-        }
+            )
+        });
         let (first, second, last) = (self.points.first()?, self.points.get(1)?, self.points.last()?);
-        let length = self.points.len();
-        ((last - first).norm() <= REPEATED * (second - first).norm()).then(|| {
+        let closed = ((last - first).norm() <= REPEATED * (second - first).norm()).then(|| {
             format!(
                 "its last point repeats the first, and both are commanded: a period is {length} commands; if it was \
                  {}, leave the last row out",
                 length - 1
             )
-        })
+        });
+        let said: Vec<String> = [repetition, closed].into_iter().flatten().collect();
+        (!said.is_empty()).then(|| said.join("; "))
     }
 
     /// Total number of points commanded.

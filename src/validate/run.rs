@@ -256,8 +256,8 @@ fn pairs(path: &DesiredPath, steps: &[Step]) -> Result<Vec<Pair>, String> {
     let pairs: Vec<Pair> = steps.iter().filter_map(|step| Some((step.observed?, step.desired))).collect();
     if 2 * pairs.len() < path.points.len() {
         return Err(format!(
-            "{} of {} commands have a point, less than half of a period, which is {} rows of {}; check --pause, --start, \
-             --periods and --points-per-period",
+            "{} of {} commands have a point, less than half of a period ({} rows of {}); check --pause, --start and \
+             --points-per-period",
             pairs.len(),
             steps.len(),
             path.points.len(),

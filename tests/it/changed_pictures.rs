@@ -78,7 +78,8 @@ fn blurred(picture: &Picture) -> Picture {
     })
 }
 
-/// The picture blurred along its rows only, by 1/4, 1/2, 1/4: as one that was stretched, or is seen by an astigmatic lens.
+/// The picture blurred along its rows only, by 1/4, 1/2, 1/4: as one that was stretched, or is seen by an astigmatic
+/// lens.
 fn blurred_along_rows(picture: &Picture) -> Picture {
     with_rows(picture, |i, j| {
         let plane = picture.plane(i).unwrap();

@@ -452,7 +452,11 @@ fn empty_places_of_an_avi_are_no_missing_frames() {
     // The last place is empty, too: `dwTotalFrames` in `avih`, `dwLength` in `strh`.
     let after = |name: &[u8]| bytes.windows(4).position(|four| four == name).unwrap() + 8;
     let places = [after(b"avih") + 16, after(b"strh") + 32];
-    for (frames, missing) in [(99_u32, None), (100, None), (106, Some("of the 53 frames that its header declares 3"))] {
+    for (frames, missing) in [
+        (99_u32, None),
+        (100, None),
+        (106, Some("of the 53 frames (in 106 places, one in 2 with a frame) that its header declares 3")),
+    ] {
         for at in places {
             bytes[at..at + 4].copy_from_slice(&frames.to_le_bytes());
         }

@@ -4,8 +4,8 @@
 //!
 //! Method. Beginning with the common blur, the misfit with less and with more blur in one view gives the distance to
 //! the best one, with σ from the scatter of the frames. Unless two views differ by a tenth or more, and that is no
-//! chance, all share the common blur: it is known better. The same for the ratio of the blurs along x and along y, which
-//! is 1 unless a view tells clearly that it is not.
+//! chance, all share the common blur: it is known better. The same for the ratio of the blurs along x and along y,
+//! which is 1 unless a view tells clearly that it is not.
 
 use crate::calibrate::markers::compared::{Compared, clipped};
 use crate::rig::Rig;
@@ -26,8 +26,8 @@ const SETTLED: f64 = 0.02;
 /// recording with one view blurred by 0.8 pixels, 0.48 and 0.91 px were found where 0.467 and 0.926 px are right.
 const MODEL_SD: f64 = 0.03;
 
-/// Finds the views' blurs; returns σ of the size of that of each view from this view alone, pixels, `None` where it does
-/// not tell.
+/// Finds the views' blurs; returns σ of the size of that of each view from this view alone, pixels, `None` where it
+/// does not tell.
 pub(super) fn find(rig: &mut Rig, frames: &[&Frame], followers: &[Frame]) -> Vec<Option<f64>> {
     let mut sizes = distances(rig, frames, followers, SIZE);
     if are_apart(&sizes, APART) {

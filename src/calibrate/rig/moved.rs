@@ -17,8 +17,8 @@
 //! walls count as before the move.
 //!
 //! Cannot tell: a move with a single cluster on one side; one much smaller than σ, and with fewer than ten clusters
-//! all but clear ones; two moves from one; a move from errors of the board or the lens that change along with the order of
-//! the pictures, as when the board is carried from one end of the tank to the other.
+//! all but clear ones; two moves from one; a move from errors of the board or the lens that change along with the order
+//! of the pictures, as when the board is carried from one end of the tank to the other.
 
 use crate::calibrate::bundle::Solution;
 use crate::calibrate::bundle::clusters::Part;

@@ -2,8 +2,8 @@
 //!
 //! A tracker counts from the base band and calls the middle of the tip's band the tip; `catheter run` without `[bands]`
 //! counts from the clamp, and its tip is the end of the tube. Which of them, in this order: the rig given, the rig
-//! recorded with the run, a table whose base stays exactly in the origin (as no tracker's does) while the tip moves, the
-//! catheter's file.
+//! recorded with the run, a table whose base stays exactly in the origin (as no tracker's does; at rest only if the
+//! catheter's file has no bands), the catheter's file.
 
 use crate::catheter::{Bands, Catheter};
 use crate::cli::Failure;

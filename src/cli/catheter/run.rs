@@ -17,6 +17,9 @@ use std::path::{Path, PathBuf};
 const MAX_FRAMES: f64 = 3.6e6;
 /// Its markers, and what is said of all of them in a frame in which nothing is seen.
 const MARKERS: [&str; 3] = ["base", "coil", "tip"];
+/// Words of a column's name that say no other coil than the axial one.
+const SAYS_NOTHING: [&str; 14] =
+    ["", "a", "amp", "ampere", "amperes", "amplifier", "amps", "axial", "ch", "channel", "coil", "current", "i", "ma"];
 const NOT_SEEN: &str = "not_seen_direct";
 /// σ of tables that tell the truth of a simulated recording.
 const EXACT: &str = "0.000000";
@@ -106,7 +109,7 @@ impl Columns {
         let [name] = names else { return None };
         let says_nothing = |word: &str| {
             let word = word.trim_end_matches(|c: char| c.is_ascii_digit()).to_ascii_lowercase();
-            ["", "a", "axial", "channel", "coil", "current", "i", "ma"].contains(&word.as_str())
+            SAYS_NOTHING.contains(&word.as_str())
         };
         let assumed = self.coils.is_empty() && axis(name).is_none() && !words(name).all(says_nothing);
         assumed.then(|| {
@@ -313,7 +316,7 @@ mod tests {
         assert_eq!([of("coil_1,coil_2,coil_3"), of("axial")], [Ok([0, 1, 2].map(Some)), Ok([None, None, Some(0)])]);
         let is_told = |name: &str| Columns::default().assumption(&[name.to_owned()]).is_some();
         assert!(is_told("side") && is_told("lateral_a"));
-        assert!(["axial_a", "z_a", "current", "channel_1", "I", "coil1"].iter().all(|name| !is_told(name)));
+        assert!(["axial_a", "z_a", "current_amps", "channel_1", "I", "coil1", "ch1"].iter().all(|name| !is_told(name)));
         for unclear in ["y_a,z_a,temp_c", "x_a,x_b,y_a", "z,y"] {
             assert!(of(unclear).unwrap_err().contains("say with --coils"), "{unclear}");
         }

@@ -162,7 +162,7 @@ impl Args {
             return Err(Failure::usage(format!(
                 "--jitter: {} ms, expected at most {:.2} ms at {} Hz: the frames would change places",
                 self.jitter * 1e3,
-                timing.most_jitter_s() * 1e3,
+                (timing.most_jitter_s() * 1e5).floor() / 1e2,
                 timing.rate_hz
             )));
         }

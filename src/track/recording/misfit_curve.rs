@@ -2,8 +2,8 @@
 
 use nalgebra::Vector2;
 
-/// Ways in which a blur may differ: the logarithms along x and y change by this much each. Its size, and its shape: more
-/// in one direction and less in the other, with the same product.
+/// Ways in which a blur may differ: the logarithms along x and y change by this much each. Its size, and its shape:
+/// more in one direction and less in the other, with the same product.
 pub(crate) const SIZE: Vector2<f64> = Vector2::new(1.0, 1.0);
 pub(crate) const SHAPE: Vector2<f64> = Vector2::new(0.5, -0.5);
 /// Change of the misfit per logarithm beyond which it is not that of an image model without errors, of the ratio of

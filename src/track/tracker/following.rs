@@ -38,7 +38,7 @@ impl Tracker {
         if !blended && let Some(tries) = self.focus.tries(frame.stamp, moved_px) {
             let with =
                 |blurs_px: &Vec<Vector2<f64>>| self.fitting(frame, found, blurs_px, TRACKED_PX).again(of_coil, None);
-            let tried = tries.each_ref().map(|less_and_more| both(less_and_more, with));
+            let tried = tries.each_ref().map(|less_and_more| both(less_and_more.as_ref()?, with));
             if self.focus.moves(&of_coil.views, fit, &tried) {
                 self.begin_resting();
             }

@@ -9,9 +9,9 @@ pub(super) const COPIED: &str = "parts of these pictures repeat those of the pic
 pub(super) const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: \
      they do not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
 pub(super) const OUT_OF_FOCUS: &str = "the pictures, or those of one view, are clearly sharper or more blurred than \
-     those on which the bands were taught, or blurred more in one direction: focus, distance or processing have changed \
-     (scaling, and chroma that was resampled, too), or the mirror is dirty; their blur is measured and used, but the first frames were tracked without it: \
-     teach the bands again";
+     those on which the bands were taught, or blurred more in one direction: focus, distance or processing have \
+     changed (scaling, and chroma that was resampled, too), or the mirror is dirty; their blur is measured and used, \
+     but the first frames were tracked without it: teach the bands again";
 pub(super) const BLENDED: &str = "what moves is blurred by more than any exposure explains: earlier pictures were \
      blended into these (noise reduction over time, conversion of the frame rate), so bands are measured too late; σ \
      is widened by as much: record without it";

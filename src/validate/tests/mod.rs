@@ -409,7 +409,7 @@ fn what_cannot_be_used_is_told_with_its_numbers() {
     let short = message(|r| r.frames.truncate(500), None);
     assert!(short.contains("they take 16.000 s, the record has 8.317 s of motion; give --start"), "{short}");
     let half = message(|r| r.frames.truncate(280), given);
-    assert!(half.contains("of 600 commands have a point, less than half of a period of 200"), "{half}");
+    assert!(half.contains("of 600 commands have a point, less than half of a period (200 rows of "), "{half}");
     let still = |r: &mut Recording| r.frames.iter_mut().for_each(|f| f.places[0].point = Some(Point3::origin()));
     assert!(message(still, given).contains("lie on a line or do not move"));
     assert_eq!(
