@@ -186,7 +186,7 @@ fn currents_with_times_of_a_clock_move_the_catheter() {
     assert_eq!(truth("host"), truth("start"));
     let last = truth("host").lines().last().unwrap().split(',').nth(3).unwrap().parse::<f64>().unwrap();
     assert!(last.abs() > 1.0, "{last}°");
-    refused(&simulate(folder.path(), &sample_rig(), &args("early.csv", "early")), "begins before 0 s");
+    refused(&simulate(folder.path(), &sample_rig(), &args("early.csv", "early")), "its first row is at -1 s");
 }
 
 #[test]
@@ -227,8 +227,10 @@ fn what_cannot_be_seen_is_refused_with_the_reason() {
     refused(&simulate(folder.path(), &bench_rig(), &["--motion", "jump", "-o", "out"]), "is neither rest, planar");
     let long = ["--motion", "rest", "--exposure", "30ms", "-o", "out"];
     refused(&simulate(folder.path(), &bench_rig(), &long), "longer than a frame");
-    let overlapping = ["--motion", "rest", "--exposure", "16ms", "--jitter", "5ms", "-o", "out"];
+    let overlapping = ["--motion", "rest", "--exposure", "16ms", "--jitter", "3ms", "-o", "out"];
     refused(&simulate(folder.path(), &bench_rig(), &overlapping), "exposures of 16 ms overlap");
+    let uneven = ["--motion", "rest", "--exposure", "0", "--jitter", "5ms", "-o", "out"];
+    refused(&simulate(folder.path(), &bench_rig(), &uneven), "expected at most 3.19 ms at 60 Hz");
     let boards = ["--boards", "1", "--jitter", "5ms", "-o", "out"];
     refused(&simulate(folder.path(), &bench_rig(), &boards), "cannot be used with");
     refused(&simulate(folder.path(), &bench_rig(), &["--board", "7x5:10mm", "-o", "out"]), "--boards");

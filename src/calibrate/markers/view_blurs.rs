@@ -16,7 +16,7 @@ use nalgebra::Vector2;
 /// Difference from which views have blurs of their own, of the logarithm.
 const APART: f64 = 0.1;
 /// The same of the ratio of directions. Pose and image model move it by up to 0.16 (measured on seven recordings).
-const DIRECTED: f64 = 0.25;
+const DIRECTED: f64 = 0.2;
 /// Limits of a blur, pixels.
 pub(super) const LIMITS_PX: (f64, f64) = (0.3, 3.0);
 /// Moves towards the best blurs, and how close they end, difference of the logarithm.

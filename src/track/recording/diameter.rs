@@ -121,6 +121,12 @@ impl Diameter {
         self.times *= 1.0 + (AHEAD * off).clamp(-LEAST, LEAST);
     }
 
+    /// Whether enough was seen to know that nothing is wrong with the rig's.
+    pub(in crate::track) fn is_right(&self) -> bool {
+        let known = self.widths.iter().filter(|mean| mean.frames >= MIN_FRAMES).count();
+        known >= MIN_WIDTHS && self.tried().is_none() && self.doubt().is_none()
+    }
+
     /// What is wrong with the rig's diameter, if anything is.
     pub(in crate::track) fn doubt(&self) -> Option<String> {
         let (off, rig_mm) = (self.times - 1.0, self.rig_m * 1e3);

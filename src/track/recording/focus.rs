@@ -2,14 +2,14 @@
 //! a camera that sharpens, a mirror that fogs, pictures that were stretched. With a wrong blur bands are off by some
 //! tenths of a pixel, and no residual tells.
 //!
-//! Method. Some frames are fitted with more and with less blur too, and some of these, all once the blur has changed,
-//! with more of it along x than along y and the reverse. Three misfits give slope and curvature over the logarithm of
-//! the blur, or of that ratio, and over several frames its minimum (misfit_curve.rs): the criterion by which the bands
-//! are taught. Motion blurs as well: unless the exposure is known, and its blur modelled, only frames in which the coil
+//! Method. Some frames are fitted with more and with less blur too, and with more of it along x than along y and the
+//! reverse. Three misfits give slope and curvature over the logarithm of the blur, or of that ratio, and over several
+//! frames its minimum (misfit_curve.rs): the criterion by which the bands are taught. Motion blurs as well: unless the exposure is known, and its blur modelled, only frames in which the coil
 //! hardly moves count. What the pose of the catheter and a coder do to the minimum stays below a quarter of the blur
 //! (measured for the ratio: up to 0.16). If it is further away, and that is no chance, the blur moves there in steps.
 //! The misfit of each view tells the same of that view: where they differ by more than that, each follows its own, else
-//! all follow the common one, which is known better.
+//! all follow the common one, which is known better. A tube of another diameter than the rig's looks blurred across
+//! itself, so the ratio waits until the bands have shown theirs (diameter.rs).
 //!
 //! Cannot detect: changes below a quarter, any while the coil always moves by several pixels per frame, and a ratio of
 //! directions that lie askew to tube and picture.
@@ -25,8 +25,6 @@ use nalgebra::Vector2;
 const DEFAULT_BLUR_PX: f64 = 0.6;
 /// Frames for a decision: whether the blur is another one, and how far it is, once that is known.
 const FRAMES: (usize, usize) = (12, 5);
-/// At first one in so many of them is fitted with other shapes, too.
-const PER_SHAPE: usize = 2;
 /// Distance of the minimum from which size and shape of the blur follow, difference of the logarithm: at first, and
 /// once they have. The same for how far views are from each other.
 const SIZE_FOLLOWS: (f64, f64) = (0.22, 0.05);
@@ -46,7 +44,6 @@ pub(in crate::track) struct Focus {
     blurs_px: Vec<Vector2<f64>>,
     /// The fastest motion of frames that count, pixels per frame.
     fastest_px: f64,
-    trials: Trials,
     size: Course,
     shape: Course,
 }
@@ -56,6 +53,7 @@ pub(in crate::track) struct Focus {
 struct Course {
     way: Vector2<f64>,
     follows: (f64, f64),
+    trials: Trials,
     /// Of the frames since the last decision: of all views together, and of each.
     all: Curve,
     views: Vec<Curve>,
@@ -82,13 +80,14 @@ impl Focus {
         let course = |way, follows| Course {
             way,
             follows,
+            trials: Trials::default(),
             all: Curve::default(),
             views: vec![Curve::default(); blurs_px.len()],
             followed: false,
             apart: false,
         };
         let (size, shape) = (course(SIZE, SIZE_FOLLOWS), course(SHAPE, SHAPE_FOLLOWS));
-        Self { blurs_px, fastest_px, trials: Trials::default(), size, shape }
+        Self { blurs_px, fastest_px, size, shape }
     }
 
     /// Of the pictures in each view, along x and y, pixels.
@@ -106,16 +105,21 @@ impl Focus {
         self.size.followed || self.shape.followed
     }
 
-    /// The blurs with which a frame is to be fitted too, if it is: less and more, and perhaps less and more along x
-    /// than along y. Its coil moved so many pixels.
-    pub(in crate::track) fn tries(&mut self, stamp: Timestamp, moved_px: f64) -> Option<[Option<Tries>; 2]> {
-        if moved_px > self.fastest_px || !self.trials.are_due(stamp) {
-            return None;
-        }
-        let along = |way: Vector2<f64>, log: f64| self.blurs_px.iter().map(|b| changed(b, way, log)).collect();
-        let tries = |course: &Course| -> Tries { [-STEP, STEP].map(|log| along(course.way, log)) };
-        let with_shape = self.has_changed() || self.size.all.slopes.len().is_multiple_of(PER_SHAPE);
-        Some([Some(tries(&self.size)), with_shape.then(|| tries(&self.shape))])
+    /// The blurs with which a frame is to be fitted too, if it is: less and more, and less and more along x than along
+    /// y. Its coil moved so many pixels; whether the bands are known to show the rig's tube.
+    pub(in crate::track) fn tries(
+        &mut self,
+        stamp: Timestamp,
+        moved_px: f64,
+        is_tube_right: bool,
+    ) -> [Option<Tries>; 2] {
+        let Self { blurs_px, fastest_px, size, shape } = self;
+        let counts = moved_px <= *fastest_px;
+        let shape_counts = counts && (is_tube_right || shape.followed);
+        [(size, counts), (shape, shape_counts)].map(|(course, counts)| {
+            let along = |log: f64| blurs_px.iter().map(|blur_px| changed(blur_px, course.way, log)).collect();
+            (counts && course.trials.are_due(stamp)).then(|| [-STEP, STEP].map(along))
+        })
     }
 
     /// Adds the fits of that frame in some views with these blurs, where there are such; whether the blur moves.
@@ -135,37 +139,33 @@ impl Focus {
             let of_view = |(i, v): (usize, &usize)| Some((*v, all_of(fits.map(|fit| Some(fit.views.get(i)?.misfit)))?));
             Some((fits.map(|fit| fit.misfit), views.iter().enumerate().filter_map(of_view).collect()))
         };
-        let [size, shape] = tried.each_ref().map(misfits);
-        self.add(size, shape)
+        self.add(tried.each_ref().map(misfits))
     }
 
-    fn add(&mut self, size: Option<Misfits>, shape: Option<Misfits>) -> bool {
-        for (course, misfits) in [(&mut self.size, size), (&mut self.shape, shape)] {
-            misfits.iter().for_each(|misfits| course.add(misfits));
-        }
+    fn add(&mut self, [of_size, of_shape]: [Option<Misfits>; 2]) -> bool {
         let frames = if self.has_changed() { FRAMES.1 } else { FRAMES.0 };
-        if self.size.all.slopes.len() < frames {
-            return false;
-        }
-        let of_shape = if self.has_changed() { frames } else { frames / PER_SHAPE };
-        let moves = [self.size.decide(frames), self.shape.decide(of_shape)];
-        let farthest =
-            moves.each_ref().map(|moves| moves.iter().flatten().map(|one| one.log.abs()).fold(0.0, f64::max));
-        let moved = farthest != [0.0; 2];
-        if moved {
+        let Self { blurs_px, size, shape, .. } = self;
+        let mut moved = false;
+        for (course, misfits) in [(&mut *size, of_size), (&mut *shape, of_shape)] {
+            let Some(misfits) = misfits else { continue };
+            course.add(&misfits);
             // One way at a time: far from the minimum both have their slope from the same lack of blur.
-            let [of_size, of_shape] = moves;
-            let size_first = farthest[0] >= farthest[1];
-            let (course, moves) = if size_first { (&mut self.size, of_size) } else { (&mut self.shape, of_shape) };
-            course.followed = true;
-            let (low, high) = LIMITS_PX;
-            for (blur_px, distance) in self.blurs_px.iter_mut().zip(moves) {
-                let log = distance.map_or(0.0, |distance| distance.log);
-                *blur_px = changed(blur_px, course.way, log).map(|along_px| along_px.clamp(low, high));
+            if moved || course.all.slopes.len() < frames {
+                continue;
             }
-            tracing::debug!("the pictures' blur is now taken for {:.3?} px", self.blurs_px);
+            let moves = course.decide(frames);
+            moved = moves.iter().any(Option::is_some);
+            course.followed |= moved;
+            course.trials.go_on(false);
+            for (blur_px, distance) in blurs_px.iter_mut().zip(moves) {
+                let log = distance.map_or(0.0, |distance| distance.log);
+                *blur_px = changed(blur_px, course.way, log).map(|along_px| along_px.clamp(LIMITS_PX.0, LIMITS_PX.1));
+            }
         }
-        self.trials.go_on(moved);
+        if moved {
+            [size, shape].into_iter().for_each(Course::begin_anew);
+            tracing::debug!("the pictures' blur is now taken for {blurs_px:.3?} px");
+        }
         moved
     }
 }
@@ -188,9 +188,19 @@ impl Course {
         let moves = if apart { own } else { vec![all; own.len()] };
         let least = least(self.followed || apart);
         self.apart |= apart;
+        self.forget();
+        moves.into_iter().map(|distance| distance.filter(|distance| distance.exceeds(least))).collect()
+    }
+
+    fn forget(&mut self) {
         self.all = Curve::default();
         self.views.fill(Curve::default());
-        moves.into_iter().map(|distance| distance.filter(|distance| distance.exceeds(least))).collect()
+    }
+
+    /// The blur has moved: frames from before tell nothing, and the next are to decide soon.
+    fn begin_anew(&mut self) {
+        self.forget();
+        self.trials.go_on(true);
     }
 }
 
@@ -222,7 +232,7 @@ mod tests {
                 ([0, 1, 2].map(mean), of_views.to_vec())
             };
             let (size, shape) = (along(SIZE), along(SHAPE));
-            focus.add(Some(size), Some(shape));
+            focus.add([Some(size), Some(shape)]);
         }
         focus
     }
@@ -291,7 +301,7 @@ mod tests {
         for k in 0..40 {
             let misfit = |blur: f64| (blur / 0.8).ln().powi(2) + 1e-3 * f64::from(k % 3);
             let misfits = [(-STEP).exp(), 1.0, STEP.exp()].map(|by| misfit(focus.blurs_px[0].x * by));
-            focus.add(Some((misfits, vec![(0, misfits)])), None);
+            focus.add([Some((misfits, vec![(0, misfits)])), None]);
         }
         assert_found(&focus, [0.8; 2]);
     }

@@ -34,8 +34,11 @@ impl Tracker {
     pub(super) fn follow_blur(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted], moved_px: Option<f64>) {
         let (Some((of_coil, fit)), Some(moved_px)) = (self.of_coil(fitted), moved_px) else { return };
         // In blended pictures what moves looks out of focus.
-        let blended = self.blending.is_seen();
-        if !blended && let Some(tries) = self.focus.tries(frame.stamp, moved_px) {
+        let tries = match self.blending.is_seen() {
+            true => [None, None],
+            false => self.focus.tries(frame.stamp, moved_px, self.diameter.is_right()),
+        };
+        if tries.iter().any(Option::is_some) {
             let with =
                 |blurs_px: &Vec<Vector2<f64>>| self.fitting(frame, found, blurs_px, TRACKED_PX).again(of_coil, None);
             let tried = tries.each_ref().map(|less_and_more| both(less_and_more.as_ref()?, with));
