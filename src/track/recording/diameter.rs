@@ -123,7 +123,7 @@ impl Diameter {
 
     /// Whether enough was seen to know that nothing is wrong with the rig's.
     pub(in crate::track) fn is_right(&self) -> bool {
-        let known = self.widths.iter().filter(|mean| mean.frames >= MIN_FRAMES).count();
+        let known = self.widths.iter().filter(|mean| mean.frames > MIN_FRAMES).count();
         known >= MIN_WIDTHS && self.tried().is_none() && self.doubt().is_none()
     }
 
