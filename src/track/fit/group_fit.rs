@@ -21,6 +21,7 @@ use crate::track::model::tube_shape::TubeShape;
 use crate::track::recording::long_exposure::LONGEST_EXPOSURE;
 use nalgebra::{Point3, Vector2, Vector3};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// A fit that ends this far from its start has left its band: pixels, and half widths of a tube that is wide in the
 /// picture, because it starts from the centre of the visible surface, up to π/4 half widths from that of the band.
@@ -153,7 +154,11 @@ impl GroupFitting<'_> {
             stretch: &group.stretch,
             picture: &frame.picture,
             paths: views.iter().map(|&v| &rig.views[v].optics).collect(),
-            blurs_px: views.iter().map(|&v| blurs_px[v]).collect(),
+            blurs_px: if views.iter().copied().eq(0..blurs_px.len()) {
+                Cow::Borrowed(blurs_px)
+            } else {
+                views.iter().map(|&v| blurs_px[v]).collect()
+            },
             ranges_m: views.iter().map(|&v| self.seen_range(group, v)).collect(),
             model,
             sweep,

@@ -27,6 +27,7 @@ use crate::track::model::tube_image::{Sweep, TubeImage};
 use crate::track::model::tube_shape::{SHAPE, ShapeStep, TubeShape};
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// The first round ends when a step lowers the cost (a χ²) by less than this: the next would lower it by less than the
 /// change due to the other samples.
@@ -126,7 +127,7 @@ pub(super) struct Fitting<'a> {
     /// Of each view.
     pub paths: Vec<&'a OpticalPath>,
     /// Lens and sensor blur in each view, σ in pixels.
-    pub blurs_px: Vec<Vector2<f64>>,
+    pub blurs_px: Cow<'a, [Vector2<f64>]>,
     /// Arc lengths between which each view shows the stretch.
     pub ranges_m: Vec<(f64, f64)>,
     pub model: &'a ImageModel,
@@ -296,7 +297,7 @@ mod tests {
         picture: &'a Picture,
     ) -> Fitting<'a> {
         let ranges_m = vec![stretch.range_m; paths.len()];
-        let (blurs_px, paths) = (vec![Vector2::repeat(BLUR_PX); paths.len()], paths.iter().collect());
+        let (blurs_px, paths) = (vec![Vector2::repeat(BLUR_PX); paths.len()].into(), paths.iter().collect());
         Fitting {
             stretch,
             picture,
