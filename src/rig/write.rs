@@ -146,14 +146,11 @@ fn view(first: bool, view: &View) -> String {
         let corners = view.region_px.iter().map(|c| list(c.iter().map(|v| decimal(*v, 9))));
         let _ = writeln!(text, "region_px = {}", list(corners));
     }
-    match view.blur_px.map(|blur| [blur.x, blur.y]) {
-        Some([x, y]) if x == y => writeln!(text, "blur_px = {}", decimal(x, 9)),
-        Some(x_and_y) => {
-            writeln!(text, "blur_px = {} # along x and y", list(x_and_y.map(|v| decimal(v, 9)).into_iter()))
-        }
-        None => Ok(()),
+    if let Some(blur) = view.blur_px {
+        let [x, y] = [blur.x, blur.y].map(|px| decimal(px, 9));
+        let value = if x == y { x } else { format!("{} # along x and y", list([x, y].into_iter())) };
+        let _ = writeln!(text, "blur_px = {value}");
     }
-    .unwrap_or_default();
     text
 }
 

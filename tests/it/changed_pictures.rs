@@ -78,8 +78,8 @@ fn blurred(picture: &Picture) -> Picture {
     })
 }
 
-/// The picture blurred along its rows only, luma by 1/4, 1/2, 1/4, chroma as much: as one that was stretched, or is seen
-/// by an astigmatic lens.
+/// The picture blurred along its rows only, luma by 1/4, 1/2, 1/4, chroma as much: as one that was stretched, or is
+/// seen by an astigmatic lens.
 fn blurred_along_rows(picture: &Picture) -> Picture {
     with_rows(picture, |i, j| {
         let plane = picture.plane(i).unwrap();

@@ -4,12 +4,13 @@
 //!
 //! Method. Some frames are fitted with more and with less blur too, and with more of it along x than along y and the
 //! reverse. Three misfits give slope and curvature over the logarithm of the blur, or of that ratio, and over several
-//! frames its minimum (misfit_curve.rs): the criterion by which the bands are taught. Motion blurs as well: unless the exposure is known, and its blur modelled, only frames in which the coil
-//! hardly moves count. What the pose of the catheter and a coder do to the minimum stays below a quarter of the blur
-//! (measured for the ratio: up to 0.16). If it is further away, and that is no chance, the blur moves there in steps.
-//! The misfit of each view tells the same of that view: where they differ by more than that, each follows its own, else
-//! all follow the common one, which is known better. A tube of another diameter than the rig's looks blurred across
-//! itself, so the ratio waits until the bands have shown theirs (diameter.rs).
+//! frames its minimum (misfit_curve.rs): the criterion by which the bands are taught. Motion blurs as well: unless the
+//! exposure is known, and its blur modelled, only frames in which the coil hardly moves count. What the pose of the
+//! catheter and a coder do to the minimum stays below a quarter of the blur (measured for the ratio: up to 0.16). If it
+//! is further away, and that is no chance, the blur moves there in steps. The misfit of each view tells the same of
+//! that view: where they differ by more than that, each follows its own, else all follow the common one, which is known
+//! better. A tube of another diameter than the rig's looks blurred across itself, so the ratio waits until the bands
+//! have shown theirs (diameter.rs).
 //!
 //! Cannot detect: changes below a quarter, any while the coil always moves by several pixels per frame, and a ratio of
 //! directions that lie askew to tube and picture.

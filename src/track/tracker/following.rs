@@ -34,9 +34,10 @@ impl Tracker {
     pub(super) fn follow_blur(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted], moved_px: Option<f64>) {
         let (Some((of_coil, fit)), Some(moved_px)) = (self.of_coil(fitted), moved_px) else { return };
         // In blended pictures what moves looks out of focus.
-        let tries = match self.blending.is_seen() {
-            true => [None, None],
-            false => self.focus.tries(frame.stamp, moved_px, self.diameter.is_right()),
+        let tries = if self.blending.is_seen() {
+            [None, None]
+        } else {
+            self.focus.tries(frame.stamp, moved_px, self.diameter.is_right())
         };
         if tries.iter().any(Option::is_some) {
             let with =
