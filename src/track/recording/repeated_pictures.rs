@@ -3,8 +3,10 @@
 //!
 //! No two pictures of a camera have the same noise, so a repeated one is equal to the last bit where the bands are. But
 //! a coder that predicts pictures from earlier ones also repeats what is at rest. Equal pictures therefore count as
-//! repeated only if a band moved between the two different pictures before, and with such a coder only for
-//! [`AT_REST_S`]: after that the catheter has come to rest.
+//! repeated only if a band moved between the two different pictures before, or if the noise is known to be new in every
+//! picture: a band that always rests, beside the clamp, looked otherwise in each of the last [`FRESH`] pictures. (A
+//! swing hardly moves where it turns.) With a coder that predicts they count only for [`AT_REST_S`]: after that the
+//! catheter has come to rest.
 //!
 //! A repeated picture that was coded again, or has noise of its own, is told by its positions: bands that moved, and
 //! were not slowing down to a stop, are exactly where they were. A swing that turns slows down first. This too ends
@@ -25,6 +27,8 @@ use nalgebra::Vector3;
 /// Equal pictures by a coder that predicts, and positions that stay, show after this time that the catheter rests,
 /// seconds.
 const AT_REST_S: f64 = 0.25;
+/// Pictures in a row in which a band at rest looked otherwise, after which none looks the same by chance.
+const FRESH: u32 = 12;
 /// Standard deviations of the difference of two positions beyond which a band has moved.
 const MOVED_SD: f64 = 4.0;
 /// A band that moved steadily stands still if it moves by less than this part of what it would have, and may do so with
@@ -45,6 +49,8 @@ const FEWEST_STANDING: u64 = 2;
 #[derive(Debug, Default)]
 pub(in crate::track) struct Repeats {
     last: Option<Shown>,
+    /// Pictures in a row in which the band at rest was not as in the one before, to the last bit.
+    fresh: u32,
     bands: Vec<Band>,
     /// Whether the bands have stood still since then.
     standing: bool,
@@ -75,6 +81,8 @@ struct Shown {
     /// Where its bands were found, and what it shows there.
     windows: Vec<Window>,
     checksum: u32,
+    /// The same of a band that always rests: how many of the windows, from the first, and what they show.
+    at_rest: Option<(usize, u32)>,
     /// Whether one of them had moved.
     moving: bool,
 }
@@ -180,7 +188,8 @@ impl Repeats {
     /// Whether a picture, `predicted` from others or not, shows again what the last one showed, and cannot be of its
     /// own time.
     pub(in crate::track) fn is_repeated(&self, picture: &Picture, stamp: Timestamp, predicted: bool) -> bool {
-        let Some(last) = self.last.as_ref().filter(|last| last.moving) else { return false };
+        let is_known = |last: &&Shown| last.moving || self.fresh >= FRESH;
+        let Some(last) = self.last.as_ref().filter(is_known) else { return false };
         (!predicted || is_recent(stamp, last.stamp)) && self.shows_again(picture)
     }
 
@@ -235,8 +244,21 @@ impl Repeats {
         Some(format!("of frames {first} to {last} some probably repeat the one before, coded again"))
     }
 
-    /// Remembers a picture that was measured, its bands in `windows`.
-    pub(in crate::track) fn remember(&mut self, picture: &Picture, windows: Vec<Window>, estimate: &Estimate) {
+    /// Remembers a picture that was measured, its bands in `windows`, the first of which (so many) are of a band that
+    /// always rests.
+    pub(in crate::track) fn remember(
+        &mut self,
+        picture: &Picture,
+        windows: Vec<Window>,
+        at_rest: usize,
+        estimate: &Estimate,
+    ) {
+        let is_fresh = |last: &Shown| {
+            let (count, shown) = last.at_rest?;
+            Some(checksum(picture, last.windows.get(..count)?)? != shown)
+        };
+        let is_fresh = self.last.as_ref().and_then(is_fresh) == Some(true);
+        self.fresh = if is_fresh { self.fresh.saturating_add(1) } else { 0 };
         self.bands.resize(estimate.markers.len(), Band::default());
         let mut moving = false;
         for (band, place) in self.bands.iter_mut().zip(places(estimate)) {
@@ -244,8 +266,15 @@ impl Repeats {
                 moving |= band.has_moved(place);
             }
         }
-        self.last =
-            checksum(picture, &windows).map(|checksum| Shown { stamp: estimate.stamp, windows, checksum, moving });
+        let shown_at_rest = windows.get(..at_rest).and_then(|windows| checksum(picture, windows));
+        let at_rest = shown_at_rest.map(|shown| (at_rest, shown));
+        self.last = checksum(picture, &windows).map(|checksum| Shown {
+            stamp: estimate.stamp,
+            windows,
+            checksum,
+            at_rest,
+            moving,
+        });
     }
 }
 
@@ -320,7 +349,7 @@ mod tests {
     fn after(moved_m: f64) -> Repeats {
         let mut repeats = Repeats::default();
         for (frame, x) in [(0, 0.0), (1, moved_m)] {
-            repeats.remember(&noise(frame as u64), vec![WINDOW], &estimate(frame, Vector3::x() * x));
+            repeats.remember(&noise(frame as u64), vec![WINDOW], 0, &estimate(frame, Vector3::x() * x));
         }
         repeats
     }
@@ -340,7 +369,7 @@ mod tests {
             estimate.stamp.ns += (jitter_s * 1e9 * random.uniform()) as i64;
             let stands = repeats.stands_still(&estimate);
             if !stands {
-                repeats.remember(&picture, vec![WINDOW], &estimate);
+                repeats.remember(&picture, vec![WINDOW], 0, &estimate);
             }
             stands
         };
@@ -428,6 +457,26 @@ mod tests {
     fn a_band_that_is_stopped_is_at_rest() {
         let stopped = standing(|frame| Vector3::x() * 1e-3 * frame.min(100) as f64);
         assert_eq!(stopped, (101..115).collect::<Vec<_>>());
+    }
+
+    /// As where a swing turns.
+    #[test]
+    fn where_noise_is_new_in_every_picture_the_same_one_is_repeated_at_rest_too() {
+        let rests = |pictures: &[u64]| {
+            let mut repeats = Repeats::default();
+            for (frame, seed) in (0..).zip(pictures) {
+                repeats.remember(&noise(*seed), vec![WINDOW], 1, &estimate(frame, Vector3::zeros()));
+            }
+            repeats
+        };
+        let is_repeated =
+            |repeats: &Repeats, frame, predicted| repeats.is_repeated(&noise(99), stamp(frame), predicted);
+        let new: Vec<u64> = (0..FRESH.into()).chain([99]).collect();
+        assert!(is_repeated(&rests(&new), 13, false) && is_repeated(&rests(&new), 13, true));
+        assert!(is_repeated(&rests(&new), 200, false) && !is_repeated(&rests(&new), 200, true), "predicted");
+        assert!(!is_repeated(&rests(&new[1..]), 13, false), "too few");
+        let kept: Vec<u64> = new.iter().map(|seed| seed - seed % 10 % 2).collect();
+        assert!(!is_repeated(&rests(&kept), 13, false), "a coder repeats what rests");
     }
 
     #[test]

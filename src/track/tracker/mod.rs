@@ -249,8 +249,8 @@ impl Tracker {
             found => found?,
         };
         self.pairs.add(picture, &found.blobs);
-        // A coder that predicts makes noise last itself, and a coil that comes first moves.
-        let tells = picture.is_as_given() && self.rig.catheter.coil != 0;
+        // A coder that predicts makes noise last itself.
+        let tells = picture.is_as_given() && self.base_is_held();
         if tells && !picture.quantisation().is_some_and(|own| own.predicted) {
             let blocks = self.blocks.add(picture, found.windows_of(0), || self.repeats.shows_again(picture));
             self.copied.add(picture, &blocks);
@@ -295,7 +295,8 @@ impl Tracker {
         };
         self.repeats.notice_stall(&estimate);
         // Before σ is widened: pictures that repeat scatter.
-        self.repeats.remember(picture, found.windows(), &estimate);
+        let at_rest = if self.base_is_held() { found.windows_of(0).count() } else { 0 };
+        self.repeats.remember(picture, found.windows(), at_rest, &estimate);
         self.widen(&mut estimate, self.model.is_predicted(picture));
         if let Some(rolling) = &mut self.rolling {
             rolling.correct(&self.rig, &mut estimate);
@@ -385,6 +386,11 @@ impl Tracker {
         let Self { rig, model, judge, before: last, fringes, .. } = self;
         let (base_rests, usual) = (self.shake.is_at_rest(), &judge.usual);
         GroupFitting { rig, model, blurs_px, frame, found, last, usual, fringes, base_rests, margin_px }
+    }
+
+    /// Whether the first band is held by the clamp: a coil that comes first moves.
+    fn base_is_held(&self) -> bool {
+        self.rig.catheter.coil != 0
     }
 
     /// Remembers where the tube is, for later frames.
