@@ -49,6 +49,11 @@ impl FromStr for RawFormat {
 /// Frames after a stall whose arrival means nothing: as many as may have queued.
 const SETTLING: u32 = 16;
 
+/// Frames after which the stated rate is compared with theirs.
+const RATED_FRAMES: u64 = 600;
+/// They come faster than stated if in less than this part of the time.
+const FASTER: f64 = 0.95;
+
 /// Raw pictures from a pipe.
 pub struct RawPictures {
     name: String,
@@ -58,6 +63,8 @@ pub struct RawPictures {
     clock: HostClock,
     stamps: StampWatch,
     catching_up: CatchingUp,
+    /// Arrival of the first frame.
+    first_ns: Option<i64>,
     stalls: Stalls,
     /// Stalls up to the last frame, nanoseconds.
     stalled_ns: u64,
@@ -81,11 +88,29 @@ impl RawPictures {
             clock,
             stamps,
             catching_up: CatchingUp::new(period_ns.unwrap_or(0.0)),
+            first_ns: None,
             stalls: Stalls::watch(),
             stalled_ns: 0,
             since_stall: u32::MAX,
             faults: StreamFaults::default(),
             seq: 0,
+        }
+    }
+
+    /// Warns, once, if frames come faster than stated. (Slower ones may have been lost.)
+    fn compare_rate(&self, arrival_ns: i64) {
+        let (Some(first_ns), Some(stated_ns)) = (self.first_ns, self.format.rate.stamp_ns(RATED_FRAMES)) else {
+            return;
+        };
+        let took_ns = arrival_ns.saturating_sub(first_ns) as f64;
+        if self.seq == RATED_FRAMES && took_ns < FASTER * stated_ns as f64 {
+            tracing::warn!(
+                "{}: frames come at {:.1} per second, {} was stated: lost ones cannot be told; state the rate of the \
+                 camera",
+                self.name,
+                RATED_FRAMES as f64 * 1e9 / took_ns.max(1.0),
+                self.format.rate
+            );
         }
     }
 
@@ -138,6 +163,8 @@ impl FrameSource for RawPictures {
             return Ok(None);
         }
         let ns = self.clock.now_ns();
+        self.first_ns.get_or_insert(ns);
+        self.compare_rate(ns);
         let missing = self.stamps.gap(ns, self.seq, &mut self.faults);
         // While this program was stalled, frames queued on the pipe.
         let stalled_ns = self.stalls.total_ns();

@@ -221,6 +221,7 @@ impl FrameSource for Stream {
                 Ok(None) if !comes_back => return Ok(None),
                 Err(error) if !comes_back => return Err(error),
                 Ok(None) => "it has ended".to_owned(),
+                Err(SourceError::Truncated { why, .. }) => why,
                 Err(error) => error.to_string(),
             };
             tracing::warn!("{}: the stream is interrupted ({reason}); waiting for it to come back", self.name);
