@@ -10,7 +10,7 @@
 
 use super::encoder::MessageEncoder;
 use super::ros2::{Body, RosEncoder, RosMessage, RosTopic};
-use super::{CurrentSample, Sink, SinkError};
+use super::{CurrentSample, PictureCount, Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::log::ros2::messages::{
     CameraInfo, DiagnosticArray, JointState, MarkerArray, PoseWithCovarianceStamped, TFMessage, TimeReference,
@@ -26,6 +26,7 @@ use ros2_client::qos::{Durability, History, WhenFull};
 use ros2_client::{MessageTypeName, Name, NodeName, NodeOptions, QosProfile};
 use serde::Serialize;
 use std::net::{IpAddr, Ipv4Addr};
+use std::sync::Arc;
 
 /// Publishes to ROS 2.
 pub struct RosSink {
@@ -102,6 +103,13 @@ impl RosSink {
             last_ns: None,
             unsent: 0,
         })
+    }
+
+    /// The count of pictures goes into `/diagnostics`, as in the log's.
+    #[must_use]
+    pub fn with_picture_count(mut self, count: Arc<PictureCount>) -> Self {
+        self.messages.set_picture_count(count);
+        self
     }
 
     fn publish(&mut self, messages: Vec<RosMessage>) {

@@ -6,7 +6,7 @@
 
 use super::encoder::{Message, MessageEncoder, file_time_ns};
 use super::gate::{Gate, hidden_address};
-use super::{CurrentSample, Sink, SinkError};
+use super::{CurrentSample, PictureCount, Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::log::schema::{ENCODING, Topic};
 use crate::rig::Rig;
@@ -85,6 +85,13 @@ impl PublishSink {
         })
     }
 
+    /// The count of pictures goes into `/health`, as in the log's.
+    #[must_use]
+    pub fn with_picture_count(mut self, count: Arc<PictureCount>) -> Self {
+        self.encoder.set_picture_count(count);
+        self
+    }
+
     /// Where it listens, with the port that the system chose if port 0 was requested.
     pub fn address(&self) -> SocketAddr {
         self.address
@@ -136,7 +143,8 @@ impl Sink for PublishSink {
         Ok(())
     }
 
-    fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
+    fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
+        self.write_totals(&tally.totals())?;
         if let Some((server, _gate)) = self.server.take() {
             // Dropped without waiting: a client that never reads would block the end of the run for ever.
             drop(server.stop());

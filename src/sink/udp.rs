@@ -19,6 +19,7 @@ use crate::source::Picture;
 use crate::tally::Tally;
 use nalgebra::Isometry3;
 use serde::Serialize;
+use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
 
 /// Sends estimates to one address.
@@ -58,6 +59,7 @@ impl UdpSink {
     pub fn to(to: SocketAddr, rig: &Rig) -> std::io::Result<Self> {
         let own: SocketAddr = if to.is_ipv4() { ([0, 0, 0, 0], 0).into() } else { ([0_u16; 8], 0).into() };
         let socket = UdpSocket::bind(own)?;
+        socket.set_broadcast(true)?;
         socket.connect(to)?;
         socket.set_nonblocking(true)?;
         let (frame, frame_from_camera) = match OutputFrame::Base.output_from_camera(rig) {
@@ -99,13 +101,26 @@ impl UdpSink {
         };
         self.scratch.clear();
         let written = serde_json::to_writer(&mut self.scratch, &datagram).is_ok();
-        if !written || self.socket.send(&self.scratch).is_err() {
+        if !written || !self.sent() {
             self.unsent += 1;
             if self.unsent == 1 {
                 tracing::warn!(
                     "a datagram could not be sent: nobody listens there, or not fast enough; more are counted"
                 );
             }
+        }
+    }
+}
+
+impl UdpSink {
+    /// Sends what was written. A port that is closed is told of the datagram before, instead of sending this one.
+    fn sent(&self) -> bool {
+        match self.socket.send(&self.scratch) {
+            Err(error) if error.kind() == ErrorKind::ConnectionRefused => {
+                _ = self.socket.send(&self.scratch);
+                false
+            }
+            sent => sent.is_ok(),
         }
     }
 }
@@ -182,6 +197,7 @@ mod tests {
             sink.send(&fixture::complete(seq, 0));
             std::thread::sleep(Duration::from_millis(1));
         }
-        assert!(sink.unsent > 0);
+        // What became of the last one is not known yet. (Where the system does not tell, all were sent.)
+        assert!((45..50).contains(&sink.unsent) || !cfg!(target_os = "linux") && sink.unsent > 0, "{}", sink.unsent);
     }
 }

@@ -21,7 +21,7 @@ use crate::pipeline::End;
 use crate::plural::plural;
 use crate::report::RunInfo;
 use crate::rig::Rig;
-use crate::sink::{PublishSink, Sink, UdpSink};
+use crate::sink::{PictureCount, PublishSink, Sink, UdpSink};
 use crate::source::host::HostClock;
 use crate::source::names::without_credentials;
 use crate::studio::Watch;
@@ -146,9 +146,14 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::usage(format!("{}: {e}", args.rig.display())))?;
     print_warnings(&args.rig, &rig)?;
     let controllers = args.controllers(&rig)?;
-    let subscribers = args.ros.open(&rig)?;
+    let (count, counts) = (Arc::new(PictureCount::default()), args.studio.is_some());
+    let counted = (args.record.is_some() || counts).then(|| Arc::clone(&count));
+    let subscribers = args.ros.open(&rig, counted.clone())?;
     let publisher = args.publish.map(|at| PublishSink::listen(at, &args.allow_origin, &rig)).transpose();
-    let publisher = publisher.map_err(|e| Failure::new(Exit::Failed, e))?;
+    let mut publisher = publisher.map_err(|e| Failure::new(Exit::Failed, e))?;
+    if let Some(count) = counted {
+        publisher = publisher.map(|publisher| publisher.with_picture_count(count));
+    }
     if let Some(publisher) = &publisher {
         tracing::info!("subscribers find the topics at ws://{}", publisher.address());
     }
@@ -181,11 +186,11 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let run = args.described();
     let run_toml = run.to_toml()?;
     let _held = files.prepare_new(&run, &[&args.rig])?;
-    let (counts, ticks) = (args.studio.is_some(), args.tick_led.is_some());
+    let ticks = args.tick_led.is_some();
     let logged = Logged { record: args.record, profile: args.profile, counts, ticks, ..Logged::default() };
-    let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), logged)?;
+    let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), logged, &count)?;
     let keep_free_bytes = (args.keep_free.unwrap_or(KEEP_FREE_GB) * 1e9) as u64;
-    let pictures = recording::of(args.record, opened.video, opened.count, &files.folder, keep_free_bytes, switch);
+    let pictures = recording::of(args.record, opened.video, count, &files.folder, keep_free_bytes, switch);
     // 3. the run
     let publisher = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
     let subscribers = subscribers.into_iter().chain(publisher).collect();
@@ -352,7 +357,7 @@ impl Args {
         Run {
             command: "live".to_owned(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            recording: self.name(),
+            recording: if self.from.realtime { unique_text(&whole_path(self.source.as_ref())) } else { self.name() },
             rig: unique_text(&whole_path(&self.rig)),
             frame: self.frame.word().to_owned(),
             from_s: None,

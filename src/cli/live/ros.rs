@@ -4,8 +4,9 @@ use super::super::Failure;
 use crate::live::CurrentSource;
 use crate::rig::Rig;
 use crate::series::CurrentTable;
-use crate::sink::Sink;
+use crate::sink::{PictureCount, Sink};
 use clap::builder::RangedU64ValueParser;
+use std::sync::Arc;
 
 /// The largest domain whose ports exist on every system.
 const LAST_DOMAIN: u64 = 101;
@@ -44,14 +45,18 @@ impl RosArgs {
         })
     }
 
-    /// The topics, if they are wanted.
+    /// The topics, if they are wanted; with the count of pictures, if they are recorded.
     ///
     /// # Errors
     /// When no participant can be created, or this build has no DDS.
-    pub(super) fn open(&self, rig: &Rig) -> Result<Option<Box<dyn Sink + Send>>, Failure> {
+    pub(super) fn open(
+        &self,
+        rig: &Rig,
+        pictures: Option<Arc<PictureCount>>,
+    ) -> Result<Option<Box<dyn Sink + Send>>, Failure> {
         let Some(reach) = self.ros2 else { return Ok(None) };
         let domain = self.domain()?;
-        published(domain, reach == NetworkScope::Network, rig).map(Some)
+        published(domain, reach == NetworkScope::Network, rig, pictures).map(Some)
     }
 
     /// The source of currents, in the domain and on the networks of the others; a list is read.
@@ -75,16 +80,25 @@ impl RosArgs {
 }
 
 #[cfg(feature = "ros2")]
-fn published(domain: u16, everywhere: bool, rig: &Rig) -> Result<Box<dyn Sink + Send>, Failure> {
+fn published(
+    domain: u16,
+    everywhere: bool,
+    rig: &Rig,
+    pictures: Option<Arc<PictureCount>>,
+) -> Result<Box<dyn Sink + Send>, Failure> {
     let sink =
         crate::sink::RosSink::open(domain, everywhere, rig).map_err(|e| Failure::new(super::super::Exit::Failed, e))?;
+    let sink = match pictures {
+        Some(count) => sink.with_picture_count(count),
+        None => sink,
+    };
     let where_to = if everywhere { "all networks" } else { "this computer alone" };
     tracing::info!("ROS 2: the topics are in domain {domain}, on {where_to}");
     Ok(Box::new(sink))
 }
 
 #[cfg(not(feature = "ros2"))]
-fn published(_: u16, _: bool, _: &Rig) -> Result<Box<dyn Sink + Send>, Failure> {
+fn published(_: u16, _: bool, _: &Rig, _: Option<Arc<PictureCount>>) -> Result<Box<dyn Sink + Send>, Failure> {
     let text = "--ros2: this build knows no ROS 2; install it with `cargo install --locked --path . --features ros2`";
     Err(Failure::usage(text))
 }

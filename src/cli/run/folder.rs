@@ -268,7 +268,7 @@ impl Files {
     /// # Errors
     /// As [`Files::prepare`].
     pub(in crate::cli) fn prepare_new(&self, run: &Run, inputs: &[&Path]) -> Result<Lock, Failure> {
-        if let Some(there) = ALL.iter().find(|name| self.folder.join(name).exists()) {
+        if let Some(there) = ALL.iter().find(|name| self.folder.join(name).symlink_metadata().is_ok()) {
             let text =
                 format!("{}: has a {there} of an earlier run; choose another folder with -o", self.folder.display());
             return Err(Failure::usage(text));
@@ -279,8 +279,9 @@ impl Files {
     /// Refuses a folder that is a file, and a table that would replace another file, unless a run is done `again`.
     fn places_are_free(&self, again: bool) -> Result<(), Failure> {
         let refused = |text: String| Err(Failure::usage(text));
-        if self.folder.exists() && !self.folder.is_dir() {
-            return refused(format!("{}: is a file; choose a folder with -o", self.folder.display()));
+        if self.folder.symlink_metadata().is_ok() && !self.folder.is_dir() {
+            let what = if self.folder.exists() { "is a file" } else { "is a link to what is not there" };
+            return refused(format!("{}: {what}; choose a folder with -o", self.folder.display()));
         }
         let table = self.table.display();
         if self.table_on_stdout() {

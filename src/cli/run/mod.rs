@@ -91,7 +91,6 @@ pub(super) struct Opened {
     pub(super) sinks: Vec<Box<dyn Sink + Send>>,
     /// The video of the pictures, if there is to be one.
     pub(super) video: Option<Box<dyn Sink + Send>>,
-    pub(super) count: Arc<PictureCount>,
 }
 
 /// How to write a log.
@@ -117,16 +116,16 @@ pub(super) fn open_sinks(
     reference: Reference,
     info: RunInfo,
     logged: Logged,
+    count: &Arc<PictureCount>,
 ) -> Result<Opened, Failure> {
     let Logged { record, profile, counts, cuts, repeatable, ticks } = logged;
-    let count = Arc::new(PictureCount::default());
     let open = || -> Result<Opened, SinkError> {
         let mut log = McapSink::of_profile(profile.into(), &files.log, rig, rig_toml, run_toml)?;
         if let Some(record) = record {
             let what = record.codec().map_or(record.word(), |_| PICTURES_FILE);
-            log = log.with_pictures(what, Arc::clone(&count));
+            log = log.with_pictures(what, Arc::clone(count));
         } else if counts {
-            log = log.with_picture_count(Arc::clone(&count));
+            log = log.with_picture_count(Arc::clone(count));
         }
         if repeatable {
             log = log.by_camera_time();
@@ -149,7 +148,7 @@ pub(super) fn open_sinks(
         let video = files.pictures.as_ref().zip(record.and_then(Record::codec));
         let video = video.map(|(path, codec)| PictureVideo::create(path, codec)).transpose()?;
         let video = video.map(|video| Box::new(video) as Box<dyn Sink + Send>);
-        Ok(Opened { sinks, video, count: Arc::clone(&count) })
+        Ok(Opened { sinks, video })
     };
     open().map_err(|e| Failure::new(Exit::Failed, e))
 }

@@ -19,6 +19,7 @@ use crate::tally::Tally;
 use crate::track::{TrackOptions, Tracker};
 use rayon::ThreadPool;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// A rig, as it was read.
@@ -133,7 +134,8 @@ impl Request<'_> {
         let ticks = self.options.tick_led.is_some();
         let logged = Logged { record, profile, cuts: true, repeatable: self.repeatable, ticks, ..Logged::default() };
         let texts = [self.rig.toml.as_str(), run_toml.as_str()];
-        let opened = open_sinks(self.files, &self.rig.rig, texts, self.options.frame(), self.info(), logged)?;
+        let opened =
+            open_sinks(self.files, &self.rig.rig, texts, self.options.frame(), self.info(), logged, &Arc::default())?;
         let sinks = opened.sinks.into_iter().chain(opened.video).collect();
         let tracked = self
             .pool
