@@ -41,17 +41,17 @@ pub(crate) fn columns_and(
     Ok((three([a?, b?, c?])?, sheet.all_of(more)?.map(three).transpose()?))
 }
 
-/// Seconds in the unit that the name of a column ends in, as `t_ms`, `TIME (msec)`, `time [us]` or `stamp_ns`; of
-/// others 1.
+/// Seconds in the unit that the name of a column ends in, as `t_ms`, `TIME (msec)`, `time [us]` or `stamp_ns`, or is, as
+/// `ms`; of others 1. `min` alone may be a minimum, and `days` anything.
 pub(crate) fn unit_s(name: &str) -> f64 {
     let name = name.trim_end_matches([']', ')', ' ']).to_lowercase();
-    let last = name.rsplit(['_', ' ', '[', '(', '/', '.']).next().filter(|word| word.len() < name.len());
+    let last = name.rsplit(['_', ' ', '[', '(', '/', '.']).next().unwrap_or_default();
     match last {
-        Some("ms" | "msec" | "msecs" | "millis" | "milliseconds") => 1e-3,
-        Some("us" | "µs" | "μs" | "usec" | "usecs" | "micros" | "microseconds") => 1e-6,
-        Some("ns" | "nsec" | "nsecs" | "nanos" | "nanoseconds") => 1e-9,
-        Some("min" | "mins" | "minutes") => 60.0,
-        Some("days") => 86400.0,
+        "ms" | "msec" | "msecs" | "millis" | "milliseconds" => 1e-3,
+        "us" | "µs" | "μs" | "usec" | "usecs" | "micros" | "microseconds" => 1e-6,
+        "ns" | "nsec" | "nsecs" | "nanos" | "nanoseconds" => 1e-9,
+        "min" | "mins" | "minutes" if last != name => 60.0,
+        "days" if last != name => 86400.0,
         _ => 1.0,
     }
 }
@@ -81,10 +81,12 @@ mod tests {
             ("Time (ms)", 1e-3),
             ("TIME_MSEC", 1e-3),
             ("t.min", 60.0),
+            ("ms", 1e-3),
+            ("NS", 1e-9),
         ] {
             assert_eq!(unit_s(name).to_bits(), f64::to_bits(unit), "{name}");
         }
-        for name in ["t", "time", "t_s", "ms", "items", "columns", "2"] {
+        for name in ["t", "time", "t_s", "min", "items", "columns", "2"] {
             assert_eq!(unit_s(name).to_bits(), f64::to_bits(1.0), "{name}");
         }
     }

@@ -15,6 +15,9 @@ use crate::identify::results::provenance::{Provenance, RecordSummary};
 use crate::series::{columns, unit_s};
 use std::path::Path;
 
+/// Decimation that loses this part of the outputs more than were missing before is told.
+const MANY_LOST: f64 = 0.1;
+
 /// Prepared data for identification and validation.
 pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     let files = records::files(args)?;
@@ -69,6 +72,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
             if part.observed() == 0 {
                 return Err(Failure::usage(format!("{}: {}", part.name, empty_reason(&whole, args))));
             }
+            warn_of_holes(&whole, &part);
             summaries.push(RecordSummary { training, ..described(&part, &summary, period_s, args) });
             if training { data.training.push(part) } else { data.validation.push(part) }
         }
@@ -87,6 +91,21 @@ fn warn_of_shared_ranges(args: &Args) {
         if from < to {
             tracing::warn!("--train and --test share samples {from} to {}: fitted data cannot judge the model", to - 1);
         }
+    }
+}
+
+/// Warns of outputs that decimation lost because frames beside them are missing. `whole`: before it.
+fn warn_of_holes(whole: &Record, part: &Record) {
+    let samples = |record: &Record| record.segments.iter().map(|s| s.len()).sum::<usize>();
+    let missing = |record: &Record| 1.0 - record.observed() as f64 / samples(record).max(1) as f64;
+    if missing(part) > missing(whole) + MANY_LOST {
+        tracing::warn!(
+            "{}: --decimate leaves {} of {} samples: its filter needs {DECIMATION_NEEDS} in a row, and frames are \
+             missing for longer than it can interpolate",
+            part.name,
+            part.observed(),
+            samples(part)
+        );
     }
 }
 

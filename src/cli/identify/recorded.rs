@@ -38,8 +38,15 @@ pub(super) fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Op
     let middle_s = 0.5 * end_s;
     let apparent = apparent_delay(args, &observed, &held, plant, own_clock.then_some(middle_s));
     let delay_s = delay_taken(args, &name, apparent.as_ref())?;
-    if let Some(delay) = &apparent {
-        warn_of_delay(args, &name, delay, delay_s, &recording);
+    match (&apparent, observed.grid()) {
+        (Some(delay), _) => warn_of_delay(args, &name, delay, delay_s, &recording),
+        (None, Ok(grid)) => tracing::warn!(
+            "{name}: simple models told neither the delay between commands and output (searched within {:.0} ms), nor \
+             a drift of the currents' clock, nor the zero of θ: that they are right is not checked",
+            clock_delay::MAX_DELAY * grid.period_s * 1e3
+        ),
+        // Told with the uneven frames.
+        (None, Err(_)) => {}
     }
     // Delays that explain the record about as well agree about the drift.
     let held = match apparent.as_ref().and_then(|delay| Some((delay, delay.drift.filter(Drift::is_significant)?))) {

@@ -336,7 +336,7 @@ fn halfway(before: Option<f64>, now: f64) -> f64 {
 
 /// Fills holes of up to `most` outputs with Lagrange's cubic through two samples on each side, or a line where there is
 /// only one. Returns how many it filled.
-fn fill(output: &mut [Option<f64>], most: usize) -> usize {
+pub(super) fn fill(output: &mut [Option<f64>], most: usize) -> usize {
     let given = output.to_vec();
     let at = |k: i64| usize::try_from(k).ok().and_then(|k| given.get(k).copied().flatten()).map(|y| (k as f64, y));
     let mut filled = 0;

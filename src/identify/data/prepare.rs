@@ -1,5 +1,6 @@
 //! Preparation of the signals: detrending and decimation.
 
+use crate::identify::data::grid::fill;
 use crate::identify::data::segments::{Record, Segment};
 use std::f64::consts::PI;
 
@@ -97,8 +98,9 @@ impl Trend {
 /// 1/D(f) more, with D(f) = sin(π factor f T)/(factor sin(π f T)). Averaging it over the new hold loses D(f) besides
 /// and brings it to the hold's centre; [`for_held`] gives back both.
 ///
-/// Five samples of the result are lost at both ends of every segment. All segments keep to one grid: that of every
-/// `factor`-th place of the record's.
+/// Outputs missing for no longer than a new period are interpolated, by a cubic: a hole would spread over the whole
+/// filter. Five samples of the result are lost at both ends of every segment, and beside longer holes. All segments keep
+/// to one grid: that of every `factor`-th place of the record's.
 pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
     let half = HALF_TAPS * factor;
     let low_pass = low_pass(factor);
@@ -114,7 +116,7 @@ pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record 
         let first = segment.first.div_ceil(factor);
         let skip = first * factor - segment.first;
         let input = held(from(&segment.input, skip));
-        let output = filtered(from(&segment.output, skip), &low_pass);
+        let output = filtered(&without_holes(from(&segment.output, skip), factor), &low_pass);
         Segment {
             first: first + HALF_TAPS,
             start_s: segment.start_s + (skip + half) as f64 * period_s,
@@ -131,6 +133,13 @@ pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record 
     };
     let segments = record.segments.iter().map(thinned).filter(|s| !s.is_empty()).collect();
     Record { name: record.name.clone(), segments }
+}
+
+/// The signal with holes of up to `most` samples filled.
+fn without_holes(signal: &[f64], most: usize) -> Vec<f64> {
+    let mut known: Vec<Option<f64>> = signal.iter().map(|v| (!v.is_nan()).then_some(*v)).collect();
+    fill(&mut known, most);
+    known.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect()
 }
 
 /// The filter before every `factor`-th sample is taken, from its first tap to its last.
@@ -183,6 +192,20 @@ mod tests {
     fn segment(of: impl Fn(f64) -> f64) -> Segment {
         let signal: Vec<f64> = (0..400).map(|k| of(f64::from(k) * 0.1)).collect();
         Segment { input: signal.clone(), output: signal, from_rest: true, ..Segment::default() }
+    }
+
+    #[test]
+    fn a_missing_frame_costs_no_sample_of_the_result() {
+        let of = |t: f64| (1.5 * t).sin();
+        let thin = |missing: &dyn Fn(usize) -> bool| {
+            let mut s = segment(of);
+            s.output.iter_mut().enumerate().filter(|(k, _)| missing(*k)).for_each(|(_, y)| *y = f64::NAN);
+            decimate(&Record { name: "w".into(), segments: vec![s] }, 4, 0.1).segments.remove(0).output
+        };
+        let (whole, holes) = (thin(&|_| false), thin(&|k| k % 30 == 7 || k % 90 == 50 || k % 90 == 51));
+        assert!(whole.iter().zip(&holes).all(|(a, b)| (a - b).abs() < 2e-4), "{whole:?} {holes:?}");
+        let long = thin(&|k| (100..110).contains(&k));
+        assert_eq!(long.iter().filter(|y| y.is_nan()).count(), 12, "its filter has 41 taps");
     }
 
     #[test]
