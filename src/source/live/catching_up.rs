@@ -70,7 +70,11 @@ impl CatchingUp {
         let lost = ((least_ns / late.period_ns).round() as u32).min(late.most);
         late.most -= lost;
         late.frames = late.frames.saturating_add(lost);
-        late.late_ns.iter_mut().for_each(|late_ns| *late_ns -= f64::from(lost) * late.period_ns);
+        // Counted from the earliest frame that is left: an error of the period does not add up.
+        let first_ns = late.late_ns.front().copied().unwrap_or_default();
+        let off_ns = if lost > 0 { first_ns - (first_ns / late.period_ns).round() * late.period_ns } else { 0.0 };
+        late.from_ns = late.from_ns.saturating_add(off_ns as i64);
+        late.late_ns.iter_mut().for_each(|late_ns| *late_ns -= f64::from(lost) * late.period_ns + off_ns);
         let is_left = late.late_ns.back().is_some_and(|now_ns| (now_ns / late.period_ns).round() >= 1.0);
         if late.most == 0 || !is_left {
             self.late = None;
