@@ -19,9 +19,12 @@ use foxglove::{
 use parking_lot::Mutex;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Longest queue of one client, messages: two seconds of 60 Hz on all topics.
 const MAX_WAITING: usize = 600;
+/// Time for the last messages to leave before the connections are closed.
+const LEAVING: Duration = Duration::from_millis(100);
 
 /// Serves subscribers.
 pub struct PublishSink {
@@ -146,6 +149,7 @@ impl Sink for PublishSink {
     fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
         self.write_totals(&tally.totals())?;
         if let Some((server, _gate)) = self.server.take() {
+            std::thread::sleep(LEAVING);
             // Dropped without waiting: a client that never reads would block the end of the run for ever.
             drop(server.stop());
         }
