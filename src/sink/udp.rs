@@ -110,9 +110,7 @@ impl UdpSink {
             }
         }
     }
-}
 
-impl UdpSink {
     /// Sends what was written. A port that is closed is told of the datagram before, instead of sending this one.
     fn sent(&self) -> bool {
         match self.socket.send(&self.scratch) {
