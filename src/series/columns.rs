@@ -41,8 +41,8 @@ pub(crate) fn columns_and(
     Ok((three([a?, b?, c?])?, sheet.all_of(more)?.map(three).transpose()?))
 }
 
-/// Seconds in the unit that the name of a column ends in, as `t_ms`, `TIME (msec)`, `time [us]` or `stamp_ns`, or is, as
-/// `ms`; of others 1. `min` alone may be a minimum, and `days` anything.
+/// Seconds in the unit that the name of a column ends in, as `t_ms`, `TIME (msec)`, `time [us]` or `stamp_ns`, or is,
+/// as `ms`; of others 1. `min` alone may be a minimum, and `days` anything.
 pub(crate) fn unit_s(name: &str) -> f64 {
     let name = name.trim_end_matches([']', ')', ' ']).to_lowercase();
     let last = name.rsplit(['_', ' ', '[', '(', '/', '.']).next().unwrap_or_default();

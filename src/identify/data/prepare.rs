@@ -99,8 +99,8 @@ impl Trend {
 /// and brings it to the hold's centre; [`for_held`] gives back both.
 ///
 /// Outputs missing for no longer than a new period are interpolated, by a cubic: a hole would spread over the whole
-/// filter. Five samples of the result are lost at both ends of every segment, and beside longer holes. All segments keep
-/// to one grid: that of every `factor`-th place of the record's.
+/// filter. Five samples of the result are lost at both ends of every segment, and beside longer holes. All segments
+/// keep to one grid: that of every `factor`-th place of the record's.
 pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
     let half = HALF_TAPS * factor;
     let low_pass = low_pass(factor);

@@ -409,8 +409,8 @@ fn initial(data: &[Segment]) -> Vec<Polynomials> {
     second.into_iter().chain(two_states).chain(best_plant(data)).collect()
 }
 
-/// The plant of a grid that leaves least, its gain fitted. Where frames are many times as fast as the plant, noise makes
-/// all of ARX useless as a start.
+/// The plant of a grid that leaves least, its gain fitted. Where frames are many times as fast as the plant, noise
+/// makes all of ARX useless as a start.
 fn best_plant(data: &[Segment]) -> Option<Polynomials> {
     let plant = |frequency: f64, damping: f64| {
         let square = frequency * frequency;
