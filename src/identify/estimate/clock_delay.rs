@@ -9,8 +9,8 @@
 //! start at delays over the whole range, each with models whose two states have clearly different time constants and
 //! with the best of a grid of plants, and the best result is taken. Where another delay explains the record about as
 //! well (a narrow band of frequencies, commands that are missing), the data do not tell which is right: the one nearest
-//! to the times as given is taken, and the others are named. None of them need be right: σ of a minimum says nothing of
-//! the others, and half the distance of the outermost ones is added to it.
+//! to the times as given is taken, and the others are named. None of them need be right: σ of a minimum says nothing
+//! of the others, and half the distance of the outermost ones is added to it.
 //!
 //! To first order a zero of H(s) is a delay. Sampled, a pendulum has its zero near z = −1, and there the gain |1 + c/z|
 //! hardly depends on c, and is the same for c and 1/c: with a free zero the sum of squares has two minima of the same
@@ -23,6 +23,7 @@
 //! possible shift of the delay from averaging the current between frames is added in quadrature.
 
 use crate::digits::fixed;
+use crate::identify::data::prepare::Line;
 use crate::identify::data::segments::Segment;
 use crate::identify::estimate::arx;
 use crate::identify::estimate::between_samples::{self, Answer, MAX_PASSES};
@@ -432,11 +433,8 @@ fn best_gain(data: &[Segment], model: &Polynomials) -> Option<f64> {
     let simulated = data.iter().map(|segment| model.simulate(&segment.input));
     let pairs = simulated.zip(data).flat_map(|(simulated, segment)| simulated.into_iter().zip(&segment.output));
     let pairs: Vec<(f64, f64)> = pairs.map(|(x, y)| (x, *y)).filter(|(_, y)| !y.is_nan()).collect();
-    let mean = |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / pairs.len() as f64;
-    let (x, y) = (mean(|pair| pair.0), mean(|pair| pair.1));
-    let (both, squares) =
-        pairs.iter().fold((0.0, 0.0), |(both, squares), (a, b)| (both + (a - x) * (b - y), squares + (a - x).powi(2)));
-    Some(both / squares).filter(|gain| gain.is_finite())
+    let gain = Line::through(pairs.iter().copied(), true).slope;
+    (gain.is_finite() && gain != 0.0).then_some(gain)
 }
 
 /// σ of what was found.
