@@ -114,6 +114,23 @@ mod tests {
     }
 
     #[test]
+    fn decimal_commas_where_something_else_separates_cells() {
+        for text in [
+            "t;u\n0;1,5\n1;-2,25e-1\n",
+            "t\tu\n0\t1,5\n1\t-2,25e-1\n",
+            "0,0;1,5\n1,0;-2,25e-1\n",
+            "0,0 1,5\n1,0 -2,25e-1\n",
+            "0,0\t1,5\n1,0\t-,225\n",
+            "0;1,500\n1;-0,225\n",
+            "t,u\n0,\"1,5\"\n1,\"-0,225\"\n",
+        ] {
+            assert_eq!(read(text, &["2"]).unwrap(), [[Some(1.5), Some(-0.225)]], "{text}");
+        }
+        assert_eq!(read("0, 1, 2\n3, 4, 5\n", &["2"]).unwrap(), [[Some(1.0), Some(4.0)]]);
+        assert_eq!(read("t,\"u; A\"\n0,1\n", &["2"]).unwrap(), [[Some(1.0)]]);
+    }
+
+    #[test]
     fn what_is_wrong_is_told_with_its_place() {
         let message = |text: &str, name: &str| read(text, &[name]).unwrap_err();
         assert_eq!(
@@ -132,7 +149,14 @@ mod tests {
         let no_number = "is not a number; numbers have a decimal point, what is missing is empty or `nan`";
         assert_eq!(message("t,u\n0,1\n\n1,a\n", "u"), format!("data.csv, line 4: `a` in column `u` {no_number}"));
         assert_eq!(message("0 1\n1 inf\n", "2"), format!("data.csv, line 2: `inf` in column 2 {no_number}"));
-        assert_eq!(message("t;u\n0;1,5\n", "u"), format!("data.csv, line 2: `1,5` in column `u` {no_number}"));
+        for (text, cell) in [("t;u\n0;1,5\n1;2.5\n", "1,5"), ("t;u\n0;1,500\n1;2,500\n", "1,500")] {
+            assert_eq!(message(text, "u"), format!("data.csv, line 2: `{cell}` in column `u` {no_number}"));
+        }
+        assert_eq!(
+            message("t,u\n# seconds\nms,A\n0,1\n", "u"),
+            "data.csv, line 3: has words under the header, not numbers; if they are units, write them into the names \
+             (as `t_ms`), and begin this line with #"
+        );
         for (text, line) in [
             ("t,u\n0,1\n\n1,\"2\n2,3\n3,4\n", 4),
             ("t,\"u\n0,1\n1,2\n", 1),
@@ -159,6 +183,9 @@ mod tests {
         let path = folder.path().join("data.csv");
         let missing = columns(&path, &["u"]).unwrap_err();
         assert!(missing.is_io() && missing.is_missing());
+        fs::write(&path, b"t,theta (\xb0)\n0,1\n").unwrap();
+        let told = "data.csv, line 1: the byte 0xb0 is not text in UTF-8 (it may be Latin-1); save the file as UTF-8";
+        assert!(columns(&path, &["t"]).unwrap_err().to_string().ends_with(told));
         fs::write(&path, [0x89, 0x4d, 0xff, 0x00]).unwrap();
         assert!(
             columns(&path, &["u"])

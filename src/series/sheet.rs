@@ -1,7 +1,8 @@
 //! A text table as in the file: cells, and the line of each row.
 //!
 //! Cells are separated by comma, semicolon or tab, or else by white space, as in the first line. Lines that begin with
-//! `#` or `%` and empty lines are left out. The first line is a header unless all its cells are numbers.
+//! `#` or `%` and empty lines are left out. The first line is a header unless all its cells are numbers. Numbers may
+//! have decimal commas where something else separates cells, or cells are quoted: see [`decimal_commas`].
 
 use super::SeriesError;
 use crate::csv_lines::{Lines, open_quote};
@@ -48,6 +49,60 @@ pub(super) fn is_missing(cell: &str) -> bool {
     cell.is_empty() || cell.eq_ignore_ascii_case("nan") || cell == "-nan"
 }
 
+/// What separates the cells of a table with this first line; white space where it is `None`.
+///
+/// Commas are decimal ones where the cells that semicolons, tabs or blanks separate are numbers with them.
+fn separator(first: &str) -> Option<char> {
+    let are_decimal = |cells: Vec<&str>| {
+        let has_comma = |cell: &&str| decimal_comma(cell.trim()).is_some();
+        cells.len() > 1
+            && cells.iter().any(has_comma)
+            && cells.iter().all(|cell| has_comma(cell) || is_numeric(cell.trim()))
+    };
+    match [';', '\t'].into_iter().find(|separator| first.contains(*separator)) {
+        other if !first.contains(',') => other,
+        Some(separator) if are_decimal(first.split(separator).collect()) => Some(separator),
+        None if are_decimal(first.split_whitespace().collect()) => None,
+        _ => Some(','),
+    }
+}
+
+/// A number with a decimal comma, with a point.
+fn decimal_comma(cell: &str) -> Option<String> {
+    let (before, after) = cell.split_once(',')?;
+    let is_digit = |character: Option<char>| character.is_some_and(|c| c.is_ascii_digit());
+    let number = format!("{before}.{after}");
+    (is_digit(after.chars().next()) && !before.contains('.') && number.parse::<f64>().is_ok()).then_some(number)
+}
+
+/// Reads numbers with decimal commas, if they are that in the whole table: where some numbers have points, or all
+/// commas may part thousands (`1,250`), the cells stay as they are, and no numbers.
+fn decimal_commas(rows: &mut [Row]) {
+    let may_be_thousands = |cell: &str| {
+        let unsigned = cell.trim_start_matches(['+', '-']);
+        let (before, after) = unsigned.split_once(',').unwrap_or_default();
+        (1..=3).contains(&before.len())
+            && !before.starts_with('0')
+            && after.len() == 3
+            && after.bytes().all(|byte| byte.is_ascii_digit())
+    };
+    let has_point = |cell: &String| cell.contains('.') && cell.parse::<f64>().is_ok();
+    let cells = || rows.iter().flat_map(|row| &row.cells);
+    if cells().any(has_point) || !cells().any(|cell| decimal_comma(cell).is_some() && !may_be_thousands(cell)) {
+        return;
+    }
+    for cell in rows.iter_mut().flat_map(|row| &mut row.cells) {
+        if let Some(number) = decimal_comma(cell) {
+            *cell = number;
+        }
+    }
+}
+
+/// Whether a row has words and no number.
+fn is_wordy(row: &Row) -> bool {
+    row.cells.iter().all(|cell| is_missing(cell) || !is_numeric(cell)) && !row.cells.iter().all(|cell| is_missing(cell))
+}
+
 /// A number or a word for a missing one.
 fn is_numeric(cell: &str) -> bool {
     is_missing(cell) || cell.parse::<f64>().is_ok()
@@ -85,17 +140,26 @@ impl Sheet {
         let Some(first) = text.lines().find(|line| is_data(line)) else {
             return Err(content("is empty; expected a table of numbers (CSV)"));
         };
-        let mut rows = match [',', ';', '\t'].into_iter().find(|separator| first.contains(*separator)) {
+        let mut rows = match separator(first) {
             Some(separator) => separated(path, &text, separator as u8)?,
             None => spaced(&text),
         };
         rows.retain(|row| row.cells.len() > 1 || row.cells.iter().any(|cell| !cell.is_empty()));
+        decimal_commas(&mut rows);
         if let Some(row) = rows.first() {
             check_first(path, row)?;
         }
         let headed = rows.first().is_some_and(|row| !row.cells.iter().all(|cell| is_numeric(cell)));
         let header = headed.then(|| rows.remove(0).cells);
         let width = header.as_ref().or(rows.first().map(|row| &row.cells)).map_or(0, Vec::len);
+        if let (Some(_), [first, second, ..]) = (&header, rows.as_slice())
+            && is_wordy(first)
+            && !is_wordy(second)
+        {
+            let problem = "has words under the header, not numbers; if they are units, write them into the names (as \
+                           `t_ms`), and begin this line with #";
+            return Err(SeriesError::Line { path: path.to_owned(), line: first.line, problem: problem.to_owned() });
+        }
         let sheet = Self { path: path.to_owned(), header, width, rows, last_line_ended: text.ends_with(['\n', '\r']) };
         sheet.check_unique_names()?;
         Ok(sheet)
@@ -228,7 +292,13 @@ pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
     if bytes.starts_with(BYTE_ORDER_MARK) {
         bytes.drain(..BYTE_ORDER_MARK.len());
     }
-    String::from_utf8(bytes).map_err(|_| content("is not text; expected a table of numbers (CSV)"))
+    String::from_utf8(bytes).map_err(|error| {
+        let (valid, rest) = error.as_bytes().split_at(error.utf8_error().valid_up_to());
+        let line = 1 + valid.iter().filter(|byte| **byte == b'\n').count();
+        let byte = rest.first().copied().unwrap_or_default();
+        let problem = format!("the byte {byte:#04x} is not text in UTF-8 (it may be Latin-1); save the file as UTF-8");
+        SeriesError::Line { path: path.to_owned(), line: line as u64, problem }
+    })
 }
 
 /// The file's bytes, at most one more than [`LARGEST`]; its beginning alone when that is not text.

@@ -16,6 +16,7 @@ use crate::identify::estimate::unknown_zero::Zero;
 use crate::identify::results::provenance::RecordSummary;
 use crate::median::upper_median;
 use crate::series::Recording;
+use std::borrow::Cow;
 use std::path::Path;
 
 /// Angle below which all of a record is hardly a deflection in degrees.
@@ -236,18 +237,21 @@ fn apparent_delay(
 ) -> Option<Delay> {
     let period_s = observed.grid().ok()?.period_s;
     let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
+    let held = held.zero_before();
     // All delays are judged by the same samples: those whose commands are known for every delay.
-    let known_s = held.zero_before().span_s()?.0 + given_s + (clock_delay::MAX_DELAY + 2.0) * period_s;
+    let known_s = held.span_s()?.0 + given_s + (clock_delay::MAX_DELAY + 2.0) * period_s;
     let cut_off = known_s > *observed.time_s.first()?;
     let observed = if cut_off { observed.from(known_s) } else { observed.clone() };
+    // Its times are those of each delay.
+    let series = observed.series(&held, plant, given_s).ok()?;
+    let grid = Grid::of(&series.name, &series.time_s).ok()?;
     let found = clock_delay::estimate(period_s, own_clock, |Timing { delay_s, drift }, inputs| {
-        let held = held.drifted(drift, own_clock.unwrap_or_default()).zero_before();
+        let held = own_clock.map_or(Cow::Borrowed(&held), |middle_s| Cow::Owned(held.drifted(drift, middle_s)));
         let series = observed.series(&held, plant, given_s + delay_s).ok()?;
         let mut series = Series { fit_zero: args.fits_zero(), ..series };
         if inputs == Inputs::Changing {
             observed.add_within(&mut series, &held, given_s + delay_s);
         }
-        let grid = Grid::of(&series.name, &series.time_s).ok()?;
         let (record, _) = cut(&series, &grid, args.bridge);
         let mut segments = record.segments;
         // What is taken for rest and is none would look like a delay.

@@ -184,9 +184,10 @@ impl Observed {
         // What acts for less than a frame hardly moves it.
         let moved_before = self.time_s.first().is_some_and(|first| commands.acted_before(first - delay_s - usual));
         let mut series = Series { name: self.name.clone(), plant, moved_before, ..Series::default() };
+        let mut integrals = commands.integrals();
         let mut push = |from: f64, to: f64, theta: Option<f64>| {
             series.time_s.push(from);
-            series.drive.push(commands.mean_from_rest(from - delay_s, to - delay_s));
+            series.drive.push(integrals.mean_from_rest(from - delay_s, to - delay_s));
             series.output.push(theta);
         };
         for (k, (t, theta)) in self.time_s.iter().zip(&self.theta_rad).enumerate() {
@@ -216,13 +217,14 @@ impl Observed {
     /// model of means would have too large a gain: a sine's mean is smaller by s = sinc(f T), and what it is beyond has
     /// the power 1 − s² of its own; over that of the means, s², this is 1/s² − 1.
     pub(crate) fn add_within(&self, series: &mut Series, commands: &Held, delay_s: f64) -> f64 {
+        let mut integrals = commands.integrals();
         let beyond = |(from, to): (f64, f64)| {
             let part_s = (to - from) / PARTS as f64;
-            let begin = commands.integral_from_rest(from - delay_s);
-            let mean = (commands.integral_from_rest(to - delay_s) - begin) / (to - from);
+            let begin = integrals.since_rest(from - delay_s);
+            let mean = (integrals.since_rest(to - delay_s) - begin) / (to - from);
             let mut before = begin;
             std::array::from_fn(|i| {
-                let here = commands.integral_from_rest(from - delay_s + (i + 1) as f64 * part_s);
+                let here = integrals.since_rest(from - delay_s + (i + 1) as f64 * part_s);
                 let in_part = (here - before) / part_s;
                 before = here;
                 in_part - mean

@@ -293,8 +293,8 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
     let within_at = |place: usize, beyond: &[f64; PARTS]| match series.plant {
         None => Some(*beyond),
         Some(plant) => {
-            let (drive, angle) = (drive[place]?, halfway_at(place)?);
-            Some(beyond.map(|beyond| plant.torque_nm(drive + beyond, angle) - plant.torque_nm(drive, angle)))
+            let by_current = plant.torque_by_current(halfway_at(place)?);
+            Some(beyond.map(|beyond| by_current * beyond))
         }
     };
     let by_zero_at = |place: usize| match series.plant {

@@ -225,24 +225,42 @@ impl Held {
         holds.filter(is_long).max_by(|a, b| (a.to_s - a.from_s).total_cmp(&(b.to_s - b.from_s)))
     }
 
+    /// Integrals and averages at times that are close to each other.
+    pub(in crate::identify) fn integrals(&self) -> Integrals<'_> {
+        Integrals { held: self, passed: 0 }
+    }
+}
+
+/// Integrals of commands from the first one. The last place is remembered: from frame to frame it is never far.
+pub(in crate::identify) struct Integrals<'a> {
+    held: &'a Held,
+    /// How many commands are not later than the last time.
+    passed: usize,
+}
+
+impl Integrals<'_> {
     /// Average from `from_s` to the later `to_s`. `None` before the first command: the output then is unknown.
-    pub(in crate::identify) fn mean(&self, from_s: f64, to_s: f64) -> Option<f64> {
-        Some((self.integral_to(to_s)? - self.integral_to(from_s)?) / (to_s - from_s))
+    pub(in crate::identify) fn mean(&mut self, from_s: f64, to_s: f64) -> Option<f64> {
+        let from = self.to(from_s);
+        Some((self.to(to_s)? - from?) / (to_s - from_s))
     }
 
     /// The same, with zero before a first command that falls between the two: what begins with it was at rest.
-    pub(in crate::identify) fn mean_from_rest(&self, from_s: f64, to_s: f64) -> Option<f64> {
-        self.mean(from_s, to_s).or_else(|| Some(self.integral_to(to_s)? / (to_s - from_s)))
+    pub(in crate::identify) fn mean_from_rest(&mut self, from_s: f64, to_s: f64) -> Option<f64> {
+        self.mean(from_s, to_s).or_else(|| Some(self.to(to_s)? / (to_s - from_s)))
     }
 
     /// Integral from the first command, before which it is zero.
-    pub(in crate::identify) fn integral_from_rest(&self, t: f64) -> f64 {
-        self.integral_to(t).unwrap_or(0.0)
+    pub(in crate::identify) fn since_rest(&mut self, t: f64) -> f64 {
+        self.to(t).unwrap_or(0.0)
     }
 
-    fn integral_to(&self, t: f64) -> Option<f64> {
-        let k = self.time_s.partition_point(|s| *s <= t).checked_sub(1)?;
-        Some(self.integral[k] + held_for(self.value[k], t - self.time_s[k]))
+    fn to(&mut self, t: f64) -> Option<f64> {
+        let Held { time_s, value, integral } = self.held;
+        self.passed += time_s[self.passed..].iter().take_while(|at| **at <= t).count();
+        self.passed -= time_s[..self.passed].iter().rev().take_while(|at| **at > t).count();
+        let k = self.passed.checked_sub(1)?;
+        Some(integral[k] + held_for(value[k], t - time_s[k]))
     }
 }
 
@@ -258,13 +276,14 @@ mod tests {
     #[test]
     fn averages_by_hand() {
         let held = Held::new(vec![(1.0, 4.0), (0.0, 2.0), (2.0, 0.0), (1.0, 6.0)]);
-        assert_eq!(held.mean(0.0, 1.0), Some(2.0));
-        assert_eq!(held.mean(0.5, 1.5), Some(4.0));
-        assert_eq!(held.mean(1.5, 3.5), Some(1.5));
-        assert_eq!(held.mean(-0.5, 0.5), None);
-        assert_eq!((held.mean_from_rest(-0.5, 0.5), held.mean_from_rest(-2.0, -1.0)), (Some(1.0), None));
+        let mut integrals = held.integrals();
+        assert_eq!(integrals.mean(0.0, 1.0), Some(2.0));
+        assert_eq!(integrals.mean(1.5, 3.5), Some(1.5));
+        assert_eq!(integrals.mean(0.5, 1.5), Some(4.0));
+        assert_eq!(integrals.mean(-0.5, 0.5), None);
+        assert_eq!((integrals.mean_from_rest(-0.5, 0.5), integrals.mean_from_rest(-2.0, -1.0)), (Some(1.0), None));
         assert_eq!(held.span_s(), Some((0.0, 2.0)));
-        assert_eq!(Held::new(Vec::new()).mean(0.0, 1.0), None);
+        assert_eq!(Held::new(Vec::new()).integrals().mean(0.0, 1.0), None);
     }
 
     #[test]
@@ -340,10 +359,10 @@ mod tests {
     #[test]
     fn zero_may_have_held_before_and_nothing_else() {
         let held = Held::new(vec![(0.0, 0.0), (1.0, 2.0)]).zero_before();
-        assert_eq!((held.mean(-3.0, 1.0), held.mean(-3.0, 2.0)), (Some(0.0), Some(0.4)));
-        let drifted = held.drifted(0.0, 0.5);
-        assert_eq!((drifted.mean(-3.0, 1.0), drifted.mean(-3.0, 2.0)), (Some(0.0), Some(0.4)));
+        let means = |held: &Held| [1.0, 2.0].map(|to| held.integrals().mean(-3.0, to));
+        assert_eq!(means(&held), [Some(0.0), Some(0.4)]);
+        assert_eq!(means(&held.drifted(0.0, 0.5)), [Some(0.0), Some(0.4)]);
         let other = Held::new(vec![(0.0, 1.0), (1.0, 2.0)]).zero_before();
-        assert_eq!(other.mean(-3.0, 1.0), None);
+        assert_eq!(means(&other), [None, None]);
     }
 }

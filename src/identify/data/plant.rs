@@ -19,7 +19,12 @@ pub struct Plant {
 impl Plant {
     /// Net torque of Eq. 6, i A N B0 cos θ − m g L sin θ, N·m.
     pub fn torque_nm(&self, current_a: f64, theta_rad: f64) -> f64 {
-        current_a * self.torque_per_ampere_nm * theta_rad.cos() - self.weight_torque_nm * theta_rad.sin()
+        current_a * self.torque_by_current(theta_rad) - self.weight_torque_nm * theta_rad.sin()
+    }
+
+    /// Change of the torque with the current, N·m/A.
+    pub(super) fn torque_by_current(&self, theta_rad: f64) -> f64 {
+        self.torque_per_ampere_nm * theta_rad.cos()
     }
 
     /// Change of the torque when the angle is measured from a zero that lies higher: −∂torque/∂θ, N·m per rad.

@@ -40,6 +40,7 @@ use crate::identify::solve::descent::{Descent, Lowest};
 use crate::identify::solve::regression::solve;
 use nalgebra::{Complex, DMatrix, DVector};
 use rayon::prelude::*;
+use std::cell::RefCell;
 
 /// Largest delay searched, either way, in periods.
 pub(crate) const MAX_DELAY: f64 = 6.0;
@@ -297,12 +298,12 @@ pub(crate) fn estimate(
         }
         as_well
     };
-    let as_well = distinct(ends);
-    if delay_of(as_well.first()?).abs() > MAX_DELAY * period_s {
+    let ends = distinct(ends);
+    if delay_of(ends.first()?).abs() > MAX_DELAY * period_s {
         return None;
     }
     // 3. the same with what the commands do between samples, by the models found: it may tell them apart
-    let changes = between_samples::is_in(&segments(as_well.first()?.at.timing, Inputs::Changing)?);
+    let changes = between_samples::is_in(&segments(ends.first()?.at.timing, Inputs::Changing)?);
     let refined = |mut best: Lowest<State>| {
         let mut answer = None;
         for pass in 0..if changes { MAX_PASSES } else { 0 } {
@@ -321,7 +322,7 @@ pub(crate) fn estimate(
         (best, answer)
     };
     let refined_all = |ends: Vec<Lowest<State>>| -> Vec<(Lowest<State>, Option<Answer>)> {
-        let mut all: Vec<_> = ends.into_iter().map(refined).collect();
+        let mut all: Vec<_> = ends.into_par_iter().map(refined).collect();
         all.sort_by(|(a, _), (b, _)| a.cost.total_cmp(&b.cost));
         all
     };
@@ -329,12 +330,12 @@ pub(crate) fn estimate(
         let again = |end: &Lowest<State>| {
             search.run(State { model: form.near(&end.at.model)?, form, ..end.at.clone() }, FINAL_STEPS)
         };
-        let mut ends: Vec<Lowest<State>> = as_well.par_iter().filter_map(again).collect();
+        let mut ends: Vec<Lowest<State>> = ends.par_iter().filter_map(again).collect();
         ends.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         refined_all(distinct(ends))
     };
-    let (first, without_zero) = (simpler(Form::First), simpler(Form::WithoutZero));
-    let mut as_well = refined_all(as_well);
+    let simpler = || rayon::join(|| simpler(Form::First), || simpler(Form::WithoutZero));
+    let (mut as_well, (first, without_zero)) = rayon::join(|| refined_all(ends.clone()), simpler);
     // 4. the simplest form that explains the record as well
     let data = |answer: Option<&Answer>, timing| match answer {
         Some(answer) => without(&segments, timing, answer),
@@ -452,13 +453,11 @@ struct Search<'a, F> {
 }
 
 impl<F: Fn(Timing) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
-    fn cost(&self, State { timing, model, .. }: &State) -> f64 {
-        // The search does not go far outside the range.
-        let outside = timing.delay_s.abs() > (MAX_DELAY + START_SPACING) * self.period_s;
-        if outside || timing.drift.abs() > MAX_DRIFT || !model.is_stable() {
-            return f64::INFINITY;
-        }
-        (self.segments)(*timing).map_or(f64::INFINITY, |data| squares(&data, model))
+    /// Whether a search does not go there, so far outside the range, or with a model that is not stable.
+    fn is_outside(&self, State { timing, model, .. }: &State) -> bool {
+        timing.delay_s.abs() > (MAX_DELAY + START_SPACING) * self.period_s
+            || timing.drift.abs() > MAX_DRIFT
+            || !model.is_stable()
     }
 
     /// Derivatives of the simulated output with respect to the delay, per second, and to the drift if that is free.
@@ -511,11 +510,23 @@ impl<F: Fn(Timing) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
     }
 
     fn run(&self, start: State, max_steps: usize) -> Option<Lowest<State>> {
+        // A step that is taken is linearised with the data by which it was judged.
+        let judged: RefCell<Option<(Timing, Vec<Segment>)>> = RefCell::default();
+        let cost = |state: &State| {
+            let data = if self.is_outside(state) { None } else { (self.segments)(state.timing) };
+            let Some(data) = data else { return f64::INFINITY };
+            let cost = squares(&data, &state.model);
+            judged.replace(Some((state.timing, data)));
+            cost
+        };
         let derivatives = |state: &State| {
-            let data = (self.segments)(state.timing)?;
+            let data = match judged.take() {
+                Some((timing, data)) if timing == state.timing => data,
+                _ => (self.segments)(state.timing)?,
+            };
             Some(triangle(&data, &self.rows(state, &data)?))
         };
-        Descent { max_steps, ..DESCENT }.run(start, |state| self.cost(state), derivatives, State::moved)
+        Descent { max_steps, ..DESCENT }.run(start, cost, derivatives, State::moved)
     }
 
     fn uncertainty(&self, state: &State) -> Option<Uncertainty> {
@@ -605,7 +616,8 @@ mod tests {
         let drive = |held: &Held, timing: Timing| -> Vec<f64> {
             let held = held.drifted(timing.drift, middle_s + 0.2);
             let at = |k: usize| 0.2 + (k as f64 + 0.3) * PERIOD_S - timing.delay_s;
-            (0..SAMPLES).filter_map(|k| Some(2.4e-4 * held.mean(at(k), at(k + 1))?)).collect()
+            let mut integrals = held.integrals();
+            (0..SAMPLES).filter_map(|k| Some(2.4e-4 * integrals.mean(at(k), at(k + 1))?)).collect()
         };
         let noisy = noise(seed, SAMPLES);
         let clean = plant.simulate(&drive(&held, Timing { delay_s, drift }));
@@ -650,7 +662,8 @@ mod tests {
         let held = Held::new((0..1300).map(|k| k as f64 * PERIOD_S).map(|t| (t, 0.02 * sines(t))).collect());
         let drive = |delay_s: f64| -> Vec<f64> {
             let at = |k: usize| 0.2 + (k as f64 + 0.3) * period_s - delay_s;
-            (0..samples).filter_map(|k| held.mean(at(k), at(k + 1))).collect()
+            let mut integrals = held.integrals();
+            (0..samples).filter_map(|k| integrals.mean(at(k), at(k + 1))).collect()
         };
         let (num, den) = (vec![288.0], vec![1.0, 4.8, 36.0]);
         let plant = Continuous { num, den, delay_s: 0.0, conversion: Conversion::Hold }.sampled(period_s);
@@ -738,12 +751,13 @@ mod tests {
             }
             let found = estimate(period_s, None, |timing, inputs| {
                 let at = |k: usize| camera_s + k as f64 * period_s - timing.delay_s;
-                let input: Option<Vec<f64>> = (0..2300).map(|k| held.mean(at(k), at(k + 1))).collect();
+                let mut integrals = held.integrals();
+                let input: Option<Vec<f64>> = (0..2300).map(|k| integrals.mean(at(k), at(k + 1))).collect();
                 let input = input?;
                 let part_s = period_s / PARTS as f64;
-                let beyond = |k: usize, i: usize| {
+                let mut beyond = |k: usize, i: usize| {
                     let from = at(k) + i as f64 * part_s;
-                    held.mean(from, from + part_s).unwrap_or(input[k]) - input[k]
+                    integrals.mean(from, from + part_s).unwrap_or(input[k]) - input[k]
                 };
                 let within = || (0..2300).map(|k| std::array::from_fn(|i| beyond(k, i))).collect();
                 let within = (inputs == Inputs::Changing).then(within);

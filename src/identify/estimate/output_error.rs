@@ -20,6 +20,7 @@ use crate::identify::solve::descent::Descent;
 use crate::identify::solve::regression::{Triangle, solve};
 use crate::varying_noise::excess_variance;
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 const DESCENT: Descent = Descent { first_damping: 1e-4, tolerance: 1e-12, max_steps: 100 };
@@ -27,60 +28,36 @@ const DESCENT: Descent = Descent { first_damping: 1e-4, tolerance: 1e-12, max_st
 /// Refines each of `initial` and returns the result nearest to the output: the sum of squares has several minima.
 ///
 /// # Errors
-/// That of [`refine`] for the first, when none can be refined.
+/// When none can be refined: that of [`nearest`] for one of them, or [`IdentifyError::Dependent`].
 pub(in crate::identify) fn refine_from_any(
     segments: &[Segment],
     initial: &[Polynomials],
 ) -> Result<Refined, IdentifyError> {
-    let mut first_error = None;
-    let mut best: Option<Refined> = None;
-    for model in initial {
-        match refine(segments, model) {
-            Ok(found) => {
-                let nearer = |b: &Refined| found.estimated.noise_variance < b.estimated.noise_variance;
-                if best.as_ref().is_none_or(nearer) {
-                    best = Some(found);
-                }
-            }
-            Err(error) => {
-                first_error.get_or_insert(error);
-            }
+    let searched: Vec<_> = initial.par_iter().map(|model| nearest(segments, model)).collect();
+    let (mut ends, mut errors) = (Vec::new(), Vec::new());
+    for end in searched {
+        match end {
+            Ok(end) => ends.push(end),
+            Err(error) => errors.push(error),
         }
     }
-    best.ok_or_else(|| first_error.unwrap_or(IdentifyError::Nothing { name: "output error".to_owned() }))
+    ends.sort_by(|a, b| a.noise_variance.total_cmp(&b.noise_variance));
+    for end in ends {
+        match end.refined(segments) {
+            Ok(found) => return Ok(found),
+            Err(error) => errors.push(error),
+        }
+    }
+    Err(errors.into_iter().next().unwrap_or(IdentifyError::Nothing { name: "output error".to_owned() }))
 }
 
 /// Refines `initial`, keeping its orders and delay.
 ///
 /// # Errors
 /// As [`nearest`], and [`IdentifyError::Dependent`] when the derivatives do not determine the parameters.
+#[cfg(test)]
 pub(in crate::identify) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
-    let Nearest { model, noise_variance, samples, steps, converged } = nearest(segments, initial)?;
-    let linearised = linearised(segments, &model, Derivatives::OfModel);
-    let dependent = || IdentifyError::Dependent { orders: model.orders() };
-    let solution = solve(triangle(segments, &linearised)).ok_or_else(dependent)?;
-    let parts = segments.iter().zip(linearised).map(|(segment, rows)| derivatives_and_residual(segment, rows));
-    let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
-    let colour = Colour::of(&residuals);
-    let mut factor = colour.factor(&derivatives, &solution.inverse);
-    let alike = colour.correlated_samples();
-    let back = &solution.inverse * solution.inverse.transpose();
-    let moves: Vec<DMatrix<f64>> = derivatives.iter().map(|rows| rows * &back).collect();
-    let sd = noise_variance.sqrt();
-    for (k, mut row) in factor.row_iter_mut().enumerate() {
-        let samples = moves.iter().zip(&residuals).flat_map(|(moves, residuals)| {
-            residuals.iter().enumerate().map(move |(t, residual)| (moves[(t, k)], residual / sd))
-        });
-        row *= excess_variance(samples.filter(|(_, residual)| !residual.is_nan()), alike).sqrt();
-    }
-    let estimated = Estimated {
-        model,
-        covariance: Covariance::from_factor(factor * sd),
-        noise_variance,
-        samples,
-        condition: solution.condition,
-    };
-    Ok(Refined { estimated, steps, converged })
+    nearest(segments, initial)?.refined(segments)
 }
 
 /// The model nearest to the output, without its uncertainty.
@@ -91,6 +68,41 @@ pub(in crate::identify) struct Nearest {
     samples: usize,
     steps: usize,
     converged: bool,
+}
+
+impl Nearest {
+    /// The same with its uncertainty.
+    ///
+    /// # Errors
+    /// [`IdentifyError::Dependent`] when the derivatives do not determine the parameters.
+    fn refined(self, segments: &[Segment]) -> Result<Refined, IdentifyError> {
+        let Self { model, noise_variance, samples, steps, converged } = self;
+        let linearised = linearised(segments, &model, Derivatives::OfModel);
+        let dependent = || IdentifyError::Dependent { orders: model.orders() };
+        let solution = solve(triangle(segments, &linearised)).ok_or_else(dependent)?;
+        let parts = segments.iter().zip(linearised).map(|(segment, rows)| derivatives_and_residual(segment, rows));
+        let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
+        let colour = Colour::of(&residuals);
+        let mut factor = colour.factor(&derivatives, &solution.inverse);
+        let alike = colour.correlated_samples();
+        let back = &solution.inverse * solution.inverse.transpose();
+        let moves: Vec<DMatrix<f64>> = derivatives.iter().map(|rows| rows * &back).collect();
+        let sd = noise_variance.sqrt();
+        for (k, mut row) in factor.row_iter_mut().enumerate() {
+            let samples = moves.iter().zip(&residuals).flat_map(|(moves, residuals)| {
+                residuals.iter().enumerate().map(move |(t, residual)| (moves[(t, k)], residual / sd))
+            });
+            row *= excess_variance(samples.filter(|(_, residual)| !residual.is_nan()), alike).sqrt();
+        }
+        let estimated = Estimated {
+            model,
+            covariance: Covariance::from_factor(factor * sd),
+            noise_variance,
+            samples,
+            condition: solution.condition,
+        };
+        Ok(Refined { estimated, steps, converged })
+    }
 }
 
 /// Searches from `initial`, keeping its orders and delay.
