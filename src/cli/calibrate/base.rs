@@ -106,7 +106,8 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     let open = |path: &Path| {
         // Of a video and a folder of pictures it is that of the folder.
         let is_meant = path.is_dir() || !args.recordings().any(Path::is_dir);
-        let options = SourceOptions { stated_rate: args.fps.filter(|_| is_meant), ..SourceOptions::default() };
+        let stated_rate = args.fps.filter(|_| is_meant);
+        let options = SourceOptions { stated_rate, decoder_threads: 0, ..SourceOptions::default() };
         fitting::open_to_track((path, options), (&args.rig, &rig))
     };
     let rest = open(&args.rest)?;

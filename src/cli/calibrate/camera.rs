@@ -35,12 +35,6 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     // An unreadable old file is reported before the work, not after.
     let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
     let searched = pictures::search(&args.pictures, &args.board, 1, quiet)?;
-    if pictures::show_it_twice(&searched, &args.board) {
-        tracing::warn!(
-            "the pictures show the board twice, as a mirror does: are they those of the rig? Seen through glass and \
-             water a lens seems to be another; take pictures in air, without mirror"
-        );
-    }
     let found: Vec<BoardPicture> = searched
         .iter()
         .filter_map(|s| {
@@ -48,7 +42,17 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
             Some(BoardPicture { name: s.name.clone(), size_px: s.size_px, image })
         })
         .collect();
-    let done = calibrate_camera(&args.board, &found, args.lens).map_err(|error| {
+    let (twice, done) = rayon::join(
+        || pictures::show_it_twice(&searched, &args.board),
+        || calibrate_camera(&args.board, &found, args.lens),
+    );
+    if twice {
+        tracing::warn!(
+            "the pictures show the board twice, as a mirror does: are they those of the rig? Seen through glass and \
+             water a lens seems to be another; take pictures in air, without mirror"
+        );
+    }
+    let done = done.map_err(|error| {
         print(&pictures::not_found(&searched)).err().unwrap_or_else(|| {
             let exit = if matches!(error, CameraError::Sizes { .. }) { Exit::Usage } else { Exit::Unusable };
             Failure::new(exit, error)

@@ -86,7 +86,7 @@ pub(super) fn run(args: &MirrorArgs, print: impl Fn(&str) -> Result<(), Failure>
     let rig = Rig::load(&args.rig)?;
     can_be_written(out)?;
     let length = args.length.as_ref().map_or(Ok(mirror::Length::OfRig), |length| length.of(&rig))?;
-    let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
+    let options = SourceOptions { stated_rate: args.fps, decoder_threads: 0, ..SourceOptions::default() };
     let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
     let mut done = calibrate_mirror(&rig, args.mirror.as_deref(), length, &mut frames).map_err(|e| failure(args, e))?;
     print(&describe(&done))?;

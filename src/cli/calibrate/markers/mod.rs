@@ -79,7 +79,7 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
         )));
     }
     let picks = picks(args, &rig)?;
-    let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
+    let options = SourceOptions { stated_rate: args.fps, decoder_threads: 0, ..SourceOptions::default() };
     let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
     let exposure_s = args.exposure.or_else(|| stated_exposure_s(&rig));
     let options = MarkersOptions { after_ns: (args.at * 1e9) as i64, exposure_s };
