@@ -111,13 +111,15 @@ impl Identification {
     /// residuals not white, or its simulation far off, comes with many good records, and says nothing of a refined
     /// model that leaves noise only.
     pub fn matters(&self, diagnostic: &Diagnostic) -> bool {
+        let refined = self.model(Role::Refined);
         let of_full = match diagnostic {
-            Diagnostic::AtEdge { what, .. } => *what != "nk",
+            // The refined model has a delay of its own.
+            Diagnostic::AtEdge { what, value, .. } => *what != "nk" || refined.is_some_and(|r| r.model.nk < *value),
             Diagnostic::Coloured { .. } | Diagnostic::ReducedDiffers { .. } => true,
             Diagnostic::Poor { other, .. } => other.is_some(),
             _ => false,
         };
-        let has_sigma = self.model(Role::Refined).is_some_and(|refined| refined.covariance.is_some());
+        let has_sigma = refined.is_some_and(|refined| refined.covariance.is_some());
         !(of_full && has_sigma && self.left.is_some())
     }
 
