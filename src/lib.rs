@@ -94,6 +94,7 @@ pub mod report;
 pub mod rig;
 pub mod segment;
 pub mod series;
+mod shell;
 pub mod simulate;
 pub mod sink;
 pub mod source;

@@ -117,15 +117,6 @@ impl Table {
         add().map_err(|source| TableError::Parquet { path: self.place.clone(), source })
     }
 
-    /// Completes the file, and puts it in place.
-    ///
-    /// # Errors
-    /// [`TableError`].
-    pub(crate) fn finish(self) -> Result<(), TableError> {
-        let path = self.place.clone();
-        self.complete()?.put_in_place().map_err(|source| TableError::Io { path, source })
-    }
-
     /// Completes the file, which is beside its place until it is put there.
     ///
     /// # Errors
@@ -163,7 +154,7 @@ mod tests {
         table.add(&piece(0)).unwrap();
         table.add(&piece(7)).unwrap();
         assert!(!path.exists());
-        table.finish().unwrap();
+        table.complete().unwrap().put_in_place().unwrap();
         let rows: Vec<_> =
             SerializedFileReader::new(File::open(&path).unwrap()).unwrap().into_iter().map(Result::unwrap).collect();
         assert_eq!(rows.len(), 6);

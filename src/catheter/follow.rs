@@ -59,6 +59,18 @@ pub struct Followed {
 /// # Errors
 /// [`CatheterError`] when there is no target, one is not finite, or no shape is found on the way.
 pub fn follow(catheter: &Catheter, targets: &[Target]) -> Result<Vec<Followed>, CatheterError> {
+    follow_with_progress(catheter, targets, |_| ())
+}
+
+/// As [`follow`], which may take seconds for each point that is out of reach; `each` is told of every point.
+///
+/// # Errors
+/// As [`follow`].
+pub(crate) fn follow_with_progress(
+    catheter: &Catheter,
+    targets: &[Target],
+    mut each: impl FnMut(&Followed),
+) -> Result<Vec<Followed>, CatheterError> {
     let starts = starts(catheter)?;
     let mut followed: Vec<Followed> = Vec::with_capacity(targets.len());
     for (index, target) in targets.iter().enumerate() {
@@ -81,6 +93,7 @@ pub fn follow(catheter: &Catheter, targets: &[Target]) -> Result<Vec<Followed>, 
                 break;
             }
         }
+        best.iter().for_each(&mut each);
         followed.extend(best);
     }
     if followed.is_empty() {

@@ -45,6 +45,7 @@ pub use equilibrium::equilibrium;
 pub use error::CatheterError;
 pub(crate) use fit::fit_with_progress;
 pub use fit::{Check, Estimated, Fit, FitOptions, Open, Parameter, Pause, Run, Wiring, check, fit};
+pub(crate) use follow::follow_with_progress;
 pub use follow::{Followed, Target, follow};
 pub use harmonic::{Harmonic, harmonics};
 pub use links::Energy;

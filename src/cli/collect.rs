@@ -107,7 +107,13 @@ fn summary(study: &Study, frames: u64, unusual: usize, out: &Path) -> String {
         let message = run.summary.failure.as_ref().map_or("", |failure| failure.message.as_str());
         let again = run.summary.failure.as_ref().is_some_and(|failure| failure.retryable);
         let again = if again { "may pass" } else { "will not pass" };
-        let _ = writeln!(text, "  {} {} ({again}): {message}", run.name, run.summary.outcome.word());
+        let _ = writeln!(
+            text,
+            "  {} {} ({again}): {}",
+            run.name,
+            run.summary.outcome.word(),
+            message.replace('\n', "\n    ")
+        );
     }
     let _ = writeln!(text, "{} without results, {unusual} stand out", failed.len());
     let _ = writeln!(text, "results in {}", out.display());

@@ -1,12 +1,12 @@
 //! `catoptra log convert`: a log as a table, a MAT file, or a log for ROS 2.
 
+use super::log::is_wrong_name;
 use super::run::Reference;
 use super::{Exit, Failure, output};
 use crate::convert::{ConvertError, Converted, Target, convert};
 use crate::log::LogError;
 use crate::plural::{are, plural};
 use crate::vetoes::{FILE, Vetoes};
-use std::io::ErrorKind;
 use std::path::PathBuf;
 
 /// Arguments of `catoptra log convert`.
@@ -81,9 +81,8 @@ fn failure(error: ConvertError) -> Failure {
         ConvertError::Log(LogError::NotMcap { .. } | LogError::NotOurs { .. })
         | ConvertError::Content { .. }
         | ConvertError::Occupied { .. } => Exit::Usage,
-        // A wrong name is an error of usage, not of the system.
         ConvertError::Log(LogError::Io { source, .. }) | ConvertError::Write { source, .. }
-            if source.kind() == ErrorKind::NotFound =>
+            if is_wrong_name(source) =>
         {
             Exit::Usage
         }

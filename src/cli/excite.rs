@@ -199,6 +199,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         Command::Steps(args) => args.made(),
     };
     let made = made.map_err(Failure::usage)?;
+    if made.signal.peak_a() == 0.0 {
+        return Err(Failure::usage(ExciteError::Nothing { step_a: made.signal.resolution.current_a }));
+    }
     let page = common.report.as_ref().map(|file| file.clone().unwrap_or_else(|| common.out.with_extension("html")));
     let text = match &channels {
         Some(channels) => list(&made.signal, channels),
@@ -218,6 +221,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     }
     let spectrum = Spectrum::of(&made.signal);
     warn_of_little_in_band(&made, &spectrum);
+    let whole = interrupt::wait();
     save(&common.out, &text)?;
     if let Some(page) = &page {
         let settings = [made.info.settings.as_slice(), &provenance::of_this_run()].concat();
@@ -225,6 +229,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         let text = excitation::page(&info, &made.signal, &spectrum, &made.clipped);
         save(page, &text)?;
     }
+    drop(whole);
     if quiet { Ok(()) } else { output::print(&summary(&made, &spectrum, &common.out, page.as_deref())) }
 }
 

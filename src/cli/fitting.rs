@@ -35,7 +35,7 @@ fn fitting(
 ) -> Result<Peeked, Failure> {
     let name = source.display();
     let opened = opened.map_err(Failure::usage)?;
-    check_size(&name.to_string(), opened.size_px(), (rig_file, rig))?;
+    check_size(&name.to_string(), opened.size_px(), (rig_file, rig.camera.size_px))?;
     let peeked = Peeked::new(opened).map_err(Failure::usage)?;
     if peeked.first.as_ref().is_some_and(|frame| is_grey(&frame.picture)) {
         let text = format!("{name}: pictures are grey; markers are recognised by their colour");
@@ -96,8 +96,12 @@ fn is_grey(picture: &Picture) -> bool {
 ///
 /// # Errors
 /// [`super::Exit::Usage`].
-pub(super) fn check_size(name: &str, size_px: [u32; 2], (rig_file, rig): (&Path, &Rig)) -> Result<(), Failure> {
-    let ([width, height], expected) = (size_px, rig.camera.size_px);
+pub(super) fn check_size(
+    name: &str,
+    size_px: [u32; 2],
+    (rig_file, expected): (&Path, [u32; 2]),
+) -> Result<(), Failure> {
+    let [width, height] = size_px;
     if size_px == expected {
         return Ok(());
     }

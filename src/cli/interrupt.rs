@@ -62,6 +62,12 @@ pub(super) fn wait() -> MutexGuard<'static, ()> {
     WRITING.lock()
 }
 
+/// Whether an interrupt has to wait.
+#[cfg(test)]
+pub(super) fn waits() -> bool {
+    WRITING.is_locked()
+}
+
 fn cannot_watch(error: ctrlc::Error) -> Failure {
     Failure::new(Exit::Failed, format!("cannot watch for interrupts: {error}"))
 }

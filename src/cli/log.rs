@@ -7,7 +7,7 @@ use crate::plural::plural;
 use crate::source::times::seconds;
 use clap::Subcommand;
 use std::fmt::{self, Write as _};
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
 
@@ -78,11 +78,15 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
 fn failure(error: LogError) -> Failure {
     let exit = match error {
         LogError::NotMcap { .. } | LogError::NotOurs { .. } => Exit::Usage,
-        // A wrong name is an error of usage, not of the system.
-        LogError::Io { ref source, .. } if source.kind() == ErrorKind::NotFound => Exit::Usage,
+        LogError::Io { ref source, .. } if is_wrong_name(source) => Exit::Usage,
         LogError::Io { .. } | LogError::Repair { .. } | LogError::BeingWritten { .. } => Exit::Failed,
     };
     Failure::new(exit, error)
+}
+
+/// Whether a path leads to nothing, or to a folder: an error of usage, not of the system.
+pub(super) fn is_wrong_name(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::NotFound | ErrorKind::IsADirectory)
 }
 
 /// Damage of a log, one line each, with times of the camera.

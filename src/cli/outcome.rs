@@ -7,14 +7,15 @@
 //! | `outcome` | `good`, `failed`, `usage`, `unusable`, `interrupted`, matching the exit code |
 //! | `exit_code` | the same as a number |
 //! | `error` | what went wrong, or null |
-//! | `warnings` | all warnings, also on stderr |
+//! | `warnings` | warnings, the first hundred; all are on stderr |
+//! | `more_warnings` | how many more there were |
 //! | `written` | files that were written |
 //! | `results` | what the command found, or null |
 //! | `text` | the text printed without `--json` |
 //!
 //! A command line that cannot be parsed has no outcome: it ends with exit code 2 and text on stderr.
 
-use super::warned::Work;
+use super::warned::{Warnings, Work};
 use super::{Exit, Failure, output};
 use parking_lot::Mutex;
 use serde_json::{Value, json};
@@ -130,20 +131,16 @@ pub(super) fn interrupted() {
 fn print_once(ended: Result<(), (Exit, String)>, results: Value, text: String) -> Result<(), Failure> {
     let mut running = RUNNING.lock();
     let Some((command, work)) = running.take() else { return Ok(()) };
-    let (word, code) = match ended.as_ref().map_err(|(exit, _)| *exit) {
-        Ok(()) => ("good", 0),
-        Err(Exit::Failed) => ("failed", 1),
-        Err(Exit::Usage) => ("usage", 2),
-        Err(Exit::Unusable) => ("unusable", 3),
-        Err(Exit::Interrupted) => ("interrupted", 130),
-    };
+    let (word, code) = ended.as_ref().map_or_else(|(exit, _)| (exit.word(), exit.code()), |()| ("good", 0));
+    let Warnings { warnings, more } = work.warned();
     let whole = json!({
         "schema": SCHEMA,
         "command": command,
         "outcome": word,
         "exit_code": code,
         "error": ended.err().map(|(_, message)| message),
-        "warnings": work.warned().warnings,
+        "warnings": warnings,
+        "more_warnings": more,
         "written": std::mem::take(&mut *WRITTEN.lock()),
         "results": results,
         "text": text,

@@ -1,5 +1,6 @@
 //! Date of a page, and its command line.
 
+use crate::shell::quoted;
 use crate::source::names::without_credentials;
 use std::time::SystemTime;
 
@@ -20,27 +21,9 @@ pub(super) fn now() -> String {
     humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
 }
 
-/// A word quoted for a shell.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_alphanumeric() || "-_./=:,@%+".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn words_are_quoted_where_a_shell_would_cut_them() {
-        assert_eq!(
-            ["a.mkv", "day 1/it's.mkv", "", "--b0=1,0,0"].map(quoted),
-            ["a.mkv", r"'day 1/it'\''s.mkv'", "''", "--b0=1,0,0"]
-        );
-    }
 
     #[test]
     fn names_and_passwords_are_not_told() {

@@ -4,10 +4,11 @@
 //! replaced; results of others, foreign files, and input files are never touched.
 
 use super::lock::{Lock, WRITES_RESULTS};
-use super::{Exit, Failure};
+use super::{Exit, Failure, interrupt};
 use crate::archive::SUMMARY;
 use crate::atomic_file;
 use crate::log::schema::{LOG_FILE, TABLE_FILE};
+use parking_lot::MutexGuard;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -67,7 +68,7 @@ pub(super) fn may_write_in(folder: &Path) -> io::Result<()> {
 }
 
 fn cannot_write(path: &Path, why: io::Error) -> Failure {
-    Failure::new(Exit::Failed, format!("cannot write to the output folder {}: {why}", path.display()))
+    Failure::new(Exit::Failed, format!("{}: cannot be written: {why}; choose another folder with -o", path.display()))
 }
 
 /// That the run to which a log or table belongs goes on, or was broken off, if its folder says so.
@@ -153,6 +154,13 @@ struct Run {
     files: Vec<String>,
 }
 
+/// Results are being written: others must not write there, and an interrupt waits.
+#[must_use = "it holds as long as this lives"]
+pub(super) struct Writing {
+    _folder: Lock,
+    _whole: MutexGuard<'static, ()>,
+}
+
 impl Results<'_> {
     fn owner(&self) -> Owner {
         let all: Vec<String> = self.recordings.iter().map(|path| unique_text(&whole_path(path))).collect();
@@ -174,16 +182,17 @@ impl Results<'_> {
         earlier_run(self.folder, &self.owner(), self.files.iter().map(String::as_str))
     }
 
-    /// Makes the folder, removes the files of an earlier run of the same, and says whose it is. It is held as long as
-    /// what is returned.
+    /// Makes the folder, removes the files of an earlier run of the same, and says whose it is. An interrupt waits, and
+    /// the folder is held, as long as what is returned.
     ///
     /// # Errors
     /// As [`Results::check`]; [`Exit::Failed`] when the folder cannot be written.
-    pub(super) fn take(&self) -> Result<Lock, Failure> {
-        let held = self.hold()?;
-        self.remove_earlier(&held)?;
-        self.claim(&held)?;
-        Ok(held)
+    pub(super) fn take(&self) -> Result<Writing, Failure> {
+        let folder = self.hold()?;
+        let whole = interrupt::wait();
+        self.remove_earlier(&folder)?;
+        self.claim(&folder)?;
+        Ok(Writing { _folder: folder, _whole: whole })
     }
 
     /// Makes the folder; what an earlier run wrote stays. It is held as long as what is returned.
@@ -261,7 +270,9 @@ mod tests {
         fs::write(folder.join("notes.txt"), "mine").unwrap();
         let other = results(&folder, &b, &["model.json"]).check().unwrap_err();
         assert!(other.exit() == Exit::Usage && other.to_string().contains("a.csv"), "{other}");
-        results(&folder, &a, &["model.json"]).take().map(drop).unwrap();
+        let writing = results(&folder, &a, &["model.json"]).take().unwrap();
+        assert!(interrupt::waits());
+        drop(writing);
         assert!(!folder.join("orders.csv").exists() && folder.join("notes.txt").exists());
     }
 
@@ -305,6 +316,6 @@ mod tests {
         let file = results(&input[0], &input, &[]).check().unwrap_err().to_string();
         assert!(file.contains("is a file; choose a folder with -o"), "{file}");
         let beyond = results(&input[0].join("out"), &input, &[]).check().unwrap_err().to_string();
-        assert!(beyond.contains("cannot write to the output folder"), "{beyond}");
+        assert!(beyond.contains("cannot be written"), "{beyond}");
     }
 }

@@ -2,8 +2,9 @@
 
 use super::camera::{self, SourceArgs};
 use super::units::seconds;
-use super::warned::Work;
-use super::{Exit, Failure, calibrate, interrupt, output, progress};
+use super::warned::{Warnings, Work};
+use super::{Exit, Failure, calibrate, fitting, interrupt, output, progress};
+use crate::plural::plural;
 use crate::rig::Draft;
 use crate::source::host::HostClock;
 use crate::studio::{Camera, Desk, Places, Server, Start, VerbResult, Verbs, Watch};
@@ -56,16 +57,9 @@ impl Args {
         let rig = rig.ok_or_else(|| {
             Failure::usage(format!("{name}: name the rig file with --rig: it says how large pictures are"))
         })?;
-        let [width, height] = Draft::load(rig)?.camera.size_px;
-        let source = self.from.open(name, [width, height], HostClock::start(), stop)?;
-        let [w, h] = source.size_px();
-        if [w, h] != [width, height] {
-            let rig = rig.display();
-            return Err(Failure::usage(format!(
-                "{name}: pictures of {w}x{h} pixels, but the camera in {rig} has {width}x{height}; a calibration holds \
-                 for one size only"
-            )));
-        }
+        let size_px = Draft::load(rig)?.camera.size_px;
+        let source = self.from.open(name, size_px, HostClock::start(), stop)?;
+        fitting::check_size(name, source.size_px(), (rig, size_px))?;
         Camera::start(name, source, stop).map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))
     }
 }
@@ -158,18 +152,15 @@ fn run_verb(verb: impl FnOnce(&dyn Fn(&str) -> Result<(), Failure>) -> Result<()
     };
     let work = Work::new();
     let ended = work.within(|| verb(&print));
-    let code = match ended.as_ref().map_err(Failure::exit) {
-        Ok(()) => 0,
-        Err(Exit::Failed) => 1,
-        Err(Exit::Usage) => 2,
-        Err(Exit::Unusable) => 3,
-        Err(Exit::Interrupted) => 130,
-    };
+    let Warnings { mut warnings, more } = work.warned();
+    if more > 0 {
+        warnings.push(format!("and {}", plural(more, "more warning")));
+    }
     VerbResult {
-        code,
+        code: ended.as_ref().map_or_else(|failure| failure.exit().code(), |()| 0),
         text: text.into_inner(),
         error: ended.err().map(|failure| failure.message()),
-        warnings: work.warned().warnings,
+        warnings,
     }
 }
 

@@ -193,7 +193,7 @@ impl Args {
 
     fn write(&self, validation: &Validation, json: &str, line: Option<&ModelLine>) -> Result<(), Failure> {
         let folder = &self.out;
-        let _held = self.results().take()?;
+        let _writing = self.results().take()?;
         let save = |name: &str, text: &str| -> Result<(), Failure> {
             let place = folder.join(name);
             output::save(&place, text)?;

@@ -111,7 +111,7 @@ fn place(marker: &Marker, frame: OutputFrame) -> Option<[Cell; 5]> {
     ])
 }
 
-/// A file of rows; it appears in its place only when [finished](Rows::finish).
+/// A file of rows; it appears in its place only when what [finishing](Rows::finish) it gives is put there.
 pub(super) struct Rows {
     names: Vec<String>,
     columns: Vec<(String, Cells)>,
@@ -130,6 +130,14 @@ enum Kind {
     },
     /// Written at the end, variable by variable.
     Mat,
+}
+
+/// Rows that are complete.
+pub(super) enum Finished {
+    /// On the disk, beside their place.
+    Beside(NewFile),
+    /// The columns, for a file that has others, too.
+    Columns(Vec<(String, Cells)>),
 }
 
 /// Kind of file.
@@ -182,24 +190,23 @@ impl Rows {
         Ok(())
     }
 
-    /// Completes the file; for one that is written together with others, returns its content.
-    pub(super) fn finish(self) -> Result<Vec<(String, Cells)>, ConvertError> {
+    /// Completes the file, which is not yet in its place.
+    pub(super) fn finish(self) -> Result<Finished, ConvertError> {
         match self.kind {
             Kind::Csv { path, new, writer } => {
                 let lost = |source| ConvertError::Write { path: path.clone(), source };
                 let buffer = writer.into_inner().map_err(|error| lost(error.into_error()))?;
                 let file = buffer.into_inner().map_err(|error| lost(error.into_error()))?;
-                file.sync_all().and_then(|()| new.put_in_place()).map_err(lost)?;
-                Ok(Vec::new())
+                file.sync_all().map_err(lost)?;
+                Ok(Finished::Beside(new))
             }
             Kind::Parquet { mut table, waiting } => {
                 if waiting > 0 {
                     table.add(&self.columns)?;
                 }
-                table.finish()?;
-                Ok(Vec::new())
+                Ok(Finished::Beside(table.complete()?))
             }
-            Kind::Mat => Ok(self.columns),
+            Kind::Mat => Ok(Finished::Columns(self.columns)),
         }
     }
 }

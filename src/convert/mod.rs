@@ -129,33 +129,19 @@ fn each_message(
 ) -> Result<(BTreeMap<String, u64>, Option<String>), ConvertError> {
     let mut decoder = MessageDecoder::default();
     let mut left: BTreeMap<String, u64> = BTreeMap::new();
-    let mut failed = None;
     let condition = records::each(path, |record| {
-        if failed.is_some() {
+        if let Record::Message { header, data } = record {
+            let data = data.as_ref();
+            let decoded = decoder.decode(header.channel_id, data).ok();
+            let topic = decoder.name(header.channel_id).unwrap_or_default().to_owned();
+            if !take(&Message { header, topic: &topic, decoded, data })? {
+                *left.entry(topic).or_default() += 1;
+            }
             return Ok(());
         }
-        let done = match record {
-            Record::Message { header, data } => {
-                let data = data.as_ref();
-                let decoded = decoder.decode(header.channel_id, data).ok();
-                let topic = decoder.name(header.channel_id).unwrap_or_default().to_owned();
-                take(&Message { header, topic: &topic, decoded, data }).map(|taken| {
-                    if !taken {
-                        *left.entry(topic).or_default() += 1;
-                    }
-                })
-            }
-            record => {
-                decoder.learn(record);
-                other(record)
-            }
-        };
-        failed = done.err();
-        Ok(())
+        decoder.learn(record);
+        other(record)
     })?;
-    if let Some(error) = failed {
-        return Err(error);
-    }
     if !decoder.channels().any(|(_, topic, _)| topic == Topic::Estimate.name()) {
         return Err(LogError::NotOurs { path: path.to_owned() }.into());
     }

@@ -4,13 +4,12 @@ use super::{ConvertError, Converted, Message, each_message, left_out};
 use crate::atomic_file::NewFile;
 use crate::log::ros2::PROFILE;
 use crate::log::schema::{RIG_ATTACHMENT, Topic};
-use crate::log::{attached, profile, records, typed, write_options};
+use crate::log::{LogError, attached, copy_besides, profile, records, system_error, typed, write_options};
 use crate::rig::Rig;
-use crate::sink::{FileMessage, FileTopic, RosLog};
+use crate::sink::{FileMessage, FileTopic, RosLog, add_all};
 use mcap::records::{MessageHeader, Record};
-use mcap::{Attachment, McapError, Writer};
+use mcap::{McapError, Writer};
 use prost_reflect::Value;
-use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -87,7 +86,7 @@ pub(super) fn convert(path: &Path, out: &Path) -> Result<Converted, ConvertError
 fn descriptors(path: &Path) -> Result<BTreeMap<String, (String, Vec<u8>)>, ConvertError> {
     let mut schemas: BTreeMap<u16, (String, Vec<u8>)> = BTreeMap::new();
     let mut topics = BTreeMap::new();
-    records::each(path, |record| {
+    records::each::<LogError>(path, |record| {
         match record {
             Record::Schema { header, data } => {
                 schemas.entry(header.id).or_insert_with(|| (header.name.clone(), data.to_vec()));
@@ -116,14 +115,7 @@ impl<'a> NewLog<'a> {
         let lost = |error| lost(path, error);
         let (new, file) = NewFile::begin(path).map_err(|error| lost(error.into()))?;
         let mut writer = write_options(PROFILE).create(BufWriter::new(file)).map_err(lost)?;
-        let mut channels = Vec::new();
-        for topic in topics {
-            let schema = match &topic.schema {
-                Some((name, encoding, data)) => writer.add_schema(name, encoding, data).map_err(lost)?,
-                None => 0,
-            };
-            channels.push(writer.add_channel(schema, &topic.topic, topic.encoding, &topic.metadata).map_err(lost)?);
-        }
+        let channels = add_all(&mut writer, topics).map_err(lost)?;
         Ok(Self { path, new, writer, channels })
     }
 
@@ -135,18 +127,7 @@ impl<'a> NewLog<'a> {
     }
 
     fn other(&mut self, record: &Record<'_>) -> Result<(), ConvertError> {
-        let written = match record {
-            Record::Attachment { header, data, .. } => self.writer.attach(&Attachment {
-                log_time: header.log_time,
-                create_time: header.create_time,
-                name: header.name.clone(),
-                media_type: header.media_type.clone(),
-                data: Cow::Borrowed(data.as_ref()),
-            }),
-            Record::Metadata(metadata) => self.writer.write_metadata(metadata),
-            _ => Ok(()),
-        };
-        written.map_err(|error| lost(self.path, error))
+        copy_besides(&mut self.writer, record).map_err(|error| lost(self.path, error))
     }
 
     fn finish(mut self) -> Result<(), ConvertError> {
@@ -157,9 +138,5 @@ impl<'a> NewLog<'a> {
 }
 
 fn lost(path: &Path, error: McapError) -> ConvertError {
-    let source = match error {
-        McapError::Io(source) => source,
-        other => std::io::Error::other(other),
-    };
-    ConvertError::Write { path: path.to_owned(), source }
+    ConvertError::Write { path: path.to_owned(), source: system_error(error) }
 }

@@ -1,7 +1,7 @@
 //! Converts a log to a table of its frames: CSV, byte for byte as written by the run, Parquet, or MAT 5. Currents are a
 //! separate table beside it; MAT has both in one file.
 
-use super::columns::{Cell, FileKind, Rows, names, row, write_mat};
+use super::columns::{Cell, FileKind, Finished, Rows, names, row, write_mat};
 use super::{ConvertError, Converted, Message, Target, each_message, left_out};
 use crate::log::ros2::PROFILE;
 use crate::log::schema::messages::{Current, Estimate};
@@ -220,21 +220,27 @@ impl<'a> Tables<'a> {
     /// Completes the files.
     fn finish(self) -> Result<Converted, ConvertError> {
         let no_frame = self.wrong("has no frame".to_owned());
-        let Self { path, out, kind, frames, currents, mut converted, restart, .. } = self;
+        let Self { path, out, frames, currents, mut converted, restart, .. } = self;
         let frames = frames.ok_or(no_frame)?;
         if let Some((seq, before)) = restart {
             tracing::warn!("{}: {}", path.display(), restarted(seq, before));
         }
-        converted.files.push(out.to_owned());
-        let mut columns = frames.finish()?;
-        if let Some(currents) = currents {
-            columns.extend(currents.finish()?);
-            if !matches!(kind, FileKind::Mat) {
-                converted.files.push(beside(out));
+        let tables = [(out.to_owned(), Some(frames)), (beside(out), currents)];
+        let finished = tables.into_iter().filter_map(|(place, rows)| Some(rows?.finish().map(|rows| (place, rows))));
+        let mut columns = Vec::new();
+        // None is put in its place before all are complete.
+        for (place, rows) in finished.collect::<Result<Vec<_>, _>>()? {
+            match rows {
+                Finished::Beside(new) => {
+                    new.put_in_place().map_err(|source| ConvertError::Write { path: place.clone(), source })?;
+                    converted.files.push(place);
+                }
+                Finished::Columns(more) => columns.extend(more),
             }
         }
-        if matches!(kind, FileKind::Mat) {
+        if !columns.is_empty() {
             write_mat(out, &columns)?;
+            converted.files.push(out.to_owned());
         }
         Ok(converted)
     }

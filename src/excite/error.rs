@@ -86,6 +86,15 @@ pub(crate) enum ExciteError {
         /// The period.
         period_s: f64,
     },
+    /// A signal that is zero all the time as its file has it.
+    #[error(
+        "all of its currents are 0 in the file, whose step is {} mA: choose a larger amplitude, or a table in place of \
+         a list", 1e3 * step_a
+    )]
+    Nothing {
+        /// The file's step, amperes.
+        step_a: f64,
+    },
     /// A sweep on a logarithmic scale from a frequency to itself.
     #[error("a logarithmic sweep needs two frequencies that differ; both are {hz} Hz")]
     NoSweep {

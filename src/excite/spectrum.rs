@@ -36,7 +36,8 @@ impl Spectrum {
     pub(crate) fn share(&self, from_hz: f64, to_hz: f64) -> f64 {
         let (half, all) = (self.step_hz / 2.0, self.power_a2.iter().sum::<f64>());
         let inside = |k: usize| (from_hz - half..to_hz + half).contains(&(k as f64 * self.step_hz));
-        self.power_a2.iter().enumerate().filter(|(k, _)| inside(*k)).map(|(_, power)| power).sum::<f64>() / all
+        // The sum of nothing is −0.
+        (self.power_a2.iter().enumerate().filter(|(k, _)| inside(*k)).map(|(_, power)| power).sum::<f64>() + 0.0) / all
     }
 
     /// The band that contains all but 1 % of the energy, half of that below and half above, Hz.

@@ -208,7 +208,7 @@ pub fn run(
     while !tracking.is_finished() {
         std::thread::sleep(POLL_INTERVAL);
         if reported.elapsed() >= REPORT_INTERVAL {
-            reported += REPORT_INTERVAL;
+            reported = Instant::now();
             let (waiting, unlogged) = (backlog.waiting(), backlog.unlogged_frames() + backlog.unlogged_currents());
             let status = Status { backlog: waiting, unlogged, pictures: counted(), ..counters.status() };
             outputs.latest.iter().for_each(|latest| latest.put_status(&status));

@@ -32,8 +32,8 @@ pub struct Latency {
 pub struct Status {
     /// Frames received, tracked or not.
     pub frames: u64,
-    /// Frames received since the last status.
-    pub new_frames: u64,
+    /// Frames received per second since the last status.
+    pub rate_hz: f64,
     /// Camera frames lost.
     pub lost: u64,
     /// Frames passed over because the tracker was busy.
@@ -70,7 +70,8 @@ struct Counts {
     tally: Tally,
     latest: Option<Arc<Estimate>>,
     pace: Pace,
-    reported_frames: u64,
+    /// Frames at the last status, and when that was.
+    reported: (u64, Instant),
     recent: Histogram<u64>,
     whole: Histogram<u64>,
     warnings: Vec<String>,
@@ -82,8 +83,9 @@ impl Counters {
     pub(super) fn new(tally: Tally, clock: HostClock) -> Result<Self, hdrhistogram::CreationError> {
         let histogram = || Histogram::new_with_bounds(1, LONGEST_US, 3);
         let (recent, whole) = (histogram()?, histogram()?);
-        let pace = Pace::new(Instant::now());
-        let counts = Counts { tally, latest: None, pace, reported_frames: 0, recent, whole, warnings: Vec::new() };
+        let now = Instant::now();
+        let (pace, reported) = (Pace::new(now), (0, now));
+        let counts = Counts { tally, latest: None, pace, reported, recent, whole, warnings: Vec::new() };
         Ok(Self { clock, counts: Mutex::new(counts) })
     }
 
@@ -110,13 +112,15 @@ impl Counters {
     /// How it goes; the counts of new frames begin again.
     pub(super) fn status(&self) -> Status {
         let mut counts = self.counts.lock();
-        let silent = counts.pace.silence(Instant::now());
+        let now = Instant::now();
+        let silent = counts.pace.silence(now);
+        let (before, since) = counts.reported;
         let latest = counts.latest.as_ref().filter(|_| silent.is_none());
         let located = latest.map_or(0, |e| e.markers.iter().filter(|m| m.position.is_ok()).count());
         let angle = latest.and_then(|e| e.deflection.as_ref().ok());
         let status = Status {
             frames: counts.tally.frames,
-            new_frames: counts.tally.frames - counts.reported_frames,
+            rate_hz: (counts.tally.frames - before) as f64 / now.duration_since(since).as_secs_f64().max(1e-3),
             lost: counts.tally.lost,
             skipped: counts.tally.skipped(),
             latency: latency(&counts.recent),
@@ -127,7 +131,7 @@ impl Counters {
             warnings: counts.warnings.clone(),
             ..Status::default()
         };
-        counts.reported_frames = counts.tally.frames;
+        counts.reported = (counts.tally.frames, now);
         counts.recent.reset();
         status
     }

@@ -16,7 +16,10 @@ pub(crate) mod schema;
 pub(crate) mod sequence;
 pub(crate) mod typed;
 
-use std::io::Read as _;
+use mcap::records::Record;
+use mcap::{McapError, McapResult};
+use std::borrow::Cow;
+use std::io::{self, Read as _};
 use std::path::Path;
 use std::time::Duration;
 
@@ -37,6 +40,35 @@ pub(crate) fn write_options(profile: &str) -> mcap::WriteOptions {
         .library(format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER))
         .compression(Some(mcap::Compression::Zstd))
         .compression_threads(0)
+}
+
+/// Copies what a log holds besides topics and messages: attachments and metadata.
+///
+/// # Errors
+/// The writer's.
+pub(crate) fn copy_besides<W: io::Write + io::Seek>(
+    writer: &mut mcap::Writer<W>,
+    record: &Record<'_>,
+) -> McapResult<()> {
+    match record {
+        Record::Attachment { header, data, .. } => writer.attach(&mcap::Attachment {
+            log_time: header.log_time,
+            create_time: header.create_time,
+            name: header.name.clone(),
+            media_type: header.media_type.clone(),
+            data: Cow::Borrowed(data.as_ref()),
+        }),
+        Record::Metadata(metadata) => writer.write_metadata(metadata),
+        _ => Ok(()),
+    }
+}
+
+/// The system's error, without the wrapper that hides it.
+pub(crate) fn system_error(error: McapError) -> io::Error {
+    match error {
+        McapError::Io(source) => source,
+        other => io::Error::other(other),
+    }
 }
 
 /// Whether the file at `path` begins as logs do, or is named as they are: its first bytes may be damaged. Pipes and
@@ -74,7 +106,7 @@ pub fn is_being_written(path: &Path) -> bool {
 pub(crate) fn profile(path: &Path) -> Result<String, LogError> {
     let mut records = records::Records::open(path)?;
     while let Some(record) = records.next()? {
-        if let mcap::records::Record::Header(header) = &record {
+        if let Record::Header(header) = &record {
             return Ok(header.profile.clone());
         }
     }
@@ -88,7 +120,7 @@ pub(crate) fn profile(path: &Path) -> Result<String, LogError> {
 pub fn attached(path: &Path, name: &str) -> Result<Option<String>, LogError> {
     let mut records = records::Records::open(path)?;
     while let Some(record) = records.next()? {
-        if let mcap::records::Record::Attachment { header, data, .. } = &record
+        if let Record::Attachment { header, data, .. } = &record
             && header.name == name
         {
             return Ok(Some(String::from_utf8_lossy(data).into_owned()));

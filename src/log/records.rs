@@ -355,6 +355,7 @@ impl Records {
     fn note(&mut self, at: u64, what: String, loses_messages: bool) {
         if self.condition.damage.len() == MAX_LISTED {
             self.condition.more_damage += 1;
+            self.condition.more_losses += u64::from(loses_messages);
         } else {
             self.condition.damage.push(Damage { at, what, between_ns: (self.last_ns, None), loses_messages });
         }
@@ -382,7 +383,7 @@ impl Records {
     fn finish(&mut self, at: u64, footer: &[u8]) -> io::Result<()> {
         self.ended = true;
         let sound = self.check_summary(at, footer)?;
-        let is_told = self.condition.damage.iter().any(|damage| damage.loses_messages);
+        let is_told = self.condition.lost().is_some();
         if let Some(counted) = self.counted.filter(|counted| sound && !is_told && *counted > self.messages) {
             self.damaged(at, format!("the index counts {counted} messages, {} are there", self.messages));
         } else if !self.data_ended && self.condition.damage.is_empty() {
@@ -531,10 +532,10 @@ fn reason(error: &McapError) -> String {
 ///
 /// # Errors
 /// When the file cannot be read, is not an MCAP file, or `take` fails.
-pub(crate) fn each(
+pub(crate) fn each<E: From<LogError>>(
     path: &Path,
-    mut take: impl FnMut(&Record<'_>) -> Result<(), LogError>,
-) -> Result<Condition, LogError> {
+    mut take: impl FnMut(&Record<'_>) -> Result<(), E>,
+) -> Result<Condition, E> {
     let mut records = Records::open(path)?;
     while let Some(record) = records.next()? {
         take(&record)?;

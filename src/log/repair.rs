@@ -5,10 +5,10 @@
 
 use super::condition::Condition;
 use super::records::{self, LOST, REPAIR};
-use super::{CHUNK_BYTES, CHUNK_SPAN, LogError, is_being_written, write_options};
+use super::{CHUNK_BYTES, CHUNK_SPAN, LogError, copy_besides, is_being_written, write_options};
 use crate::atomic_file::{NewFile, backup_names};
+use mcap::McapError;
 use mcap::records::{Channel, Metadata, Record};
-use mcap::{Attachment, McapError};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, ErrorKind};
@@ -139,16 +139,8 @@ fn copy(from: &Path, to: File, topics: &Topics, lost: Option<String>) -> Result<
                 }
                 writer.write_to_known_channel(header, data)
             }
-            Record::Attachment { header, data, .. } => writer.attach(&Attachment {
-                log_time: header.log_time,
-                create_time: header.create_time,
-                name: header.name.clone(),
-                media_type: header.media_type.clone(),
-                data: data.clone(),
-            }),
-            Record::Metadata(metadata) => writer.write_metadata(metadata),
             // Schemas and channels are already written; indexes and the summary are rebuilt.
-            _ => Ok(()),
+            other => copy_besides(&mut writer, other),
         }
         .map_err(failed)
     })?;

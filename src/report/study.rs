@@ -101,7 +101,7 @@ fn failures(study: &Study, folder: &Path) -> String {
     let row = |run: &Run| {
         let failure = run.summary.failure.as_ref()?;
         let again = if failure.retryable { "yes" } else { "no" };
-        Some(vec![link(run, folder), Html::wrapped(&failure.message), Html::from(again)])
+        Some(vec![link(run, folder), Html::wrapped(&failure.message.replace('\n', "; ")), Html::from(again)])
     };
     let rows: Vec<Vec<Html>> = study.runs.iter().filter_map(row).collect();
     if rows.is_empty() {
@@ -264,10 +264,10 @@ fn all(study: &Study, folder: &Path) -> String {
 fn link(run: &Run, folder: &Path) -> Html {
     let report = "report.html";
     if !run.summary.files.iter().any(|file| file.name == report) {
-        return Html::from(&run.name);
+        return Html::wrapped(&run.name);
     }
     let to = relative(&run.folder.join(report), folder);
-    Html::raw(format!("<a href=\"{}\">{}</a>", escape(&to), escape(&run.name)))
+    Html::raw(format!("<a class=\"why\" href=\"{}\">{}</a>", escape(&to), escape(&run.name)))
 }
 
 /// The address of a file, relative to a page in `folder`; both paths are absolute or relative to the same place.

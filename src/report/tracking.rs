@@ -299,26 +299,33 @@ fn motion(course: &Course) -> String {
 /// Results of each view over time.
 fn views(course: &Course, tally: &Tally) -> String {
     let time = time_title(course);
-    let each = |kind: &str, draw: &dyn Fn(usize) -> plotly::Plot| -> String {
-        let views = course.view_names.iter().enumerate();
-        views
-            .map(|(v, name)| {
-                format!("<h3>{} view</h3>\n{}", escape(name), figure(&format!("plot-{kind}-{v}"), &draw(v), 250, true))
-            })
-            .collect()
-    };
+    let each =
+        |kind: &str, of: fn(usize, usize) -> Channel, draw: fn(&Course, usize, &str) -> plotly::Plot| -> String {
+            let views = course.view_names.iter().enumerate();
+            views
+                .map(|(view, name)| {
+                    let mut markers = 0..course.marker_names.len();
+                    let plot = match markers.any(|marker| course.extremes(of(marker, view)).any(|e| e.is_some())) {
+                        true => figure(&format!("plot-{kind}-{view}"), &draw(course, view, time), 250, true),
+                        false => nothing(),
+                    };
+                    format!("<h3>{} view</h3>\n{plot}", escape(name))
+                })
+                .collect()
+        };
     section(
         "Residuals",
         "By how many pixels each view disagrees with the common answer of all views (length of the residual). Bands \
          that are fitted together, as coil and tip, have one residual: their points coincide.",
-        &(alarms(course, tally) + &each("residual", &|v| figures::residuals(course, v, time))),
+        &(alarms(course, tally)
+            + &each("residual", |marker, view| Channel::Residual { marker, view }, figures::residuals)),
         "one marker standing above the others in one view, or residuals that follow the motion: an error of the rig, \
          of the tube's measures or of the refraction. A few high frames are noise or a reflection.",
     ) + &section(
         "Colour separation",
         "How well a band's colour stands out from what surrounds it: 1 as when its colour was learned, 0 \
          indistinguishable.",
-        &each("separation", &|v| figures::separation(course, v, time)),
+        &each("separation", |marker, view| Channel::Separation { marker, view }, figures::separation),
         "a slow fall: the light changes or the water clouds. Dips at some angles: shadow or glare. Below about 0.5 \
          misses begin.",
     )

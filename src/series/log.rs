@@ -19,7 +19,7 @@ use std::path::Path;
 /// Reads the log at `path`, as far as it goes if it was cut off.
 pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     let mut reader = Reader::default();
-    let condition = records::each(path, |record| {
+    let condition = records::each::<LogError>(path, |record| {
         reader.take(record);
         Ok(())
     })?;
@@ -197,7 +197,7 @@ mod tests {
         }
         log.finish(&Tally::default()).unwrap();
         let mut reader = Reader::default();
-        records::each(&path, |record| {
+        records::each::<LogError>(&path, |record| {
             reader.take(record);
             if reader.frames.len() == 1 {
                 reader.markers = ["tip", "other", "base"].map(str::to_owned).to_vec();

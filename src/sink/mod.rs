@@ -10,7 +10,7 @@ mod csv;
 mod mcap;
 
 pub use self::csv::CsvSink;
-pub(crate) use self::mcap::{FileMessage, FileTopic, RosLog};
+pub(crate) use self::mcap::{FileMessage, FileTopic, RosLog, add_all};
 pub use self::mcap::{McapSink, Profile};
 
 mod clock;

@@ -1,6 +1,7 @@
 //! What the page asks for as a command line: for the program itself, and for a person to put into a script.
 
 use super::places::Places;
+use crate::shell;
 
 /// An option of the command and its value; none of one that has none.
 pub(super) type Setting = (&'static str, String);
@@ -23,7 +24,7 @@ pub(super) fn arguments(places: &Places, inputs: &[&str], settings: &[Setting]) 
 pub(super) fn typed(verb: &str, inputs: &[&str], settings: &[Setting]) -> String {
     // What begins like an option comes behind `--`.
     let plain = inputs.iter().all(|input| !input.starts_with('-'));
-    let quoted: String = inputs.iter().map(|input| format!(" {}", quoted(input))).collect();
+    let quoted: String = inputs.iter().map(|input| format!(" {}", shell::quoted(input))).collect();
     let mut line = format!("catoptra {verb}");
     if plain {
         line += &quoted;
@@ -31,22 +32,14 @@ pub(super) fn typed(verb: &str, inputs: &[&str], settings: &[Setting]) -> String
     for (option, value) in settings {
         line += &match value.as_str() {
             "" => format!(" \\\n  {option}"),
-            value if value.starts_with('-') => format!(" \\\n  {option}={}", self::quoted(value)),
-            value => format!(" \\\n  {option} {}", self::quoted(value)),
+            value if value.starts_with('-') => format!(" \\\n  {option}={}", shell::quoted(value)),
+            value => format!(" \\\n  {option} {}", shell::quoted(value)),
         };
     }
     if !plain {
         line += &format!(" \\\n  --{quoted}");
     }
     line
-}
-
-fn quoted(text: &str) -> String {
-    let plain = |c: char| c.is_alphanumeric() || "@:,.-_/+=".contains(c);
-    match !text.is_empty() && text.chars().all(plain) {
-        true => text.to_owned(),
-        false => format!("'{}'", text.replace('\'', r"'\''")),
-    }
 }
 
 #[cfg(test)]

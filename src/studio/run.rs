@@ -3,6 +3,7 @@
 use super::Refusal;
 use super::places::{changed, opened};
 use crate::archive::RunSummary;
+use crate::log::LogError;
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{float, floats, inner, list, number, optional_number, text, whole, word, xyz};
 use crate::log::schema::{LOG_FILE, RIG_ATTACHMENT, TABLE_FILE, Topic, pictures_file};
@@ -207,7 +208,7 @@ impl Run {
 
     fn log(&mut self, path: &Path) -> Result<(), Refusal> {
         let mut decoder = MessageDecoder::default();
-        let condition = records::each(path, |record| {
+        let condition = records::each::<LogError>(path, |record| {
             match record {
                 Record::Message { header, data } => {
                     let decoded = |topic| decoder.decoded(header.channel_id, topic, data.as_ref());

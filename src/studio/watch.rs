@@ -112,7 +112,7 @@ impl Watch {
                 "host_ns": sample.host_ns.to_string(), "host_s": seconds(sample.host_ns), "a": sample.current_a,
             })).collect::<Vec<_>>(),
             "status": {
-                "frames": status.frames, "rate": status.new_frames, "lost": status.lost, "skipped": status.skipped,
+                "frames": status.frames, "rate": status.rate_hz, "lost": status.lost, "skipped": status.skipped,
                 "p50_ms": ms(status.latency.p50_us), "p99_ms": ms(status.latency.p99_us),
                 "max_ms": ms(status.latency.max_us),
                 "silent_s": status.silent.map(|silent| silent.as_secs_f64()),

@@ -90,7 +90,7 @@ fn all_frames_and_all_runs_are_in_the_tables_with_the_columns_of_the_manifest() 
     assert_eq!(runs[3]["theta_sd_deg"], Field::Double(sd));
 
     let page = fs::read_to_string(place.path("study/report.html")).unwrap();
-    assert!(page.contains("<a href=\"../archive/runs/circle/report.html\">circle</a>"));
+    assert!(page.contains("<a class=\"why\" href=\"../archive/runs/circle/report.html\">circle</a>"));
     assert!(page.contains("is not a video that can be read") && page.contains("archive/cut: has no summary.json"));
 
     // Again: the same tables; and never in the place of something else.

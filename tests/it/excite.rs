@@ -55,6 +55,9 @@ fn limits_are_kept_by_refusing_or_by_cutting_off() {
     refused(&["multisine", "--period", "20s", "--duration", "19s"], "less than the period of 20 s");
     refused(&["chirp", "--to", "31Hz"], "stay below 30 Hz");
     refused(&["chirp", "--amplitude", "100"], "`100` has no unit: write 100mA");
+    let output = excite(folder.path(), &["chirp", "--amplitude", "0.0003mA", "-o", "i.play"]);
+    assert!(stderr(&output).contains("all of its currents are 0 in the file, whose step is 0.001 mA"));
+    assert!(output.status.code() == Some(2) && !folder.path().join("i.play").exists());
     refused(&["chirp", "--coils", "a,a"], "--coils: names of columns, all different");
     // Its readers take these for something else.
     refused(&["chirp", "--coils", "coil_mA"], "--coils: column `coil_mA` is in milliamperes");

@@ -17,7 +17,18 @@ fn run(folder: &Path, words: &str) -> (Output, Value) {
 /// Every member is there, and code and word say what the program says.
 fn check(output: &Output, outcome: &Value, command: &str, code: i32, word: &str) {
     let names: Vec<&str> = outcome.as_object().unwrap().keys().map(String::as_str).collect();
-    let all = ["command", "error", "exit_code", "outcome", "results", "schema", "text", "warnings", "written"];
+    let all = [
+        "command",
+        "error",
+        "exit_code",
+        "more_warnings",
+        "outcome",
+        "results",
+        "schema",
+        "text",
+        "warnings",
+        "written",
+    ];
     assert_eq!(names, all);
     assert_eq!(output.status.code(), Some(code), "{outcome:#}");
     assert_eq!((&outcome["exit_code"], &outcome["outcome"]), (&code.into(), &word.into()));

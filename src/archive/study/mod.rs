@@ -95,6 +95,8 @@ impl Study {
         // A folder may have been reached a shorter way afterwards.
         let is_searched = |folder: &PathBuf| folder.canonicalize().is_ok_and(|whole| searched.contains_key(&whole));
         study.too_deep.retain(|folder| !is_searched(folder));
+        // Whatever the order in which the folders were given.
+        study.runs.sort_by(|a, b| a.folder.cmp(&b.folder));
         for run in std::mem::take(&mut study.runs) {
             go_on()?;
             match check(&run) {

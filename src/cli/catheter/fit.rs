@@ -4,7 +4,7 @@ use super::super::copies;
 use super::super::output::{PAGE, save};
 use super::super::progress::Stages;
 use super::super::units::{duration_s, seconds_ns};
-use super::super::{Exit, Failure, output, provenance};
+use super::super::{Exit, Failure, interrupt, output, provenance};
 use super::bands::Seen;
 use super::recorded::{Reading, rms};
 use super::run::Columns;
@@ -144,6 +144,7 @@ impl FitArgs {
         for doubt in own.iter().chain(&other).filter_map(Check::doubt) {
             tracing::warn!("doubt: {doubt}");
         }
+        let whole = interrupt::wait();
         save(&self.out.join("catheter.toml"), &result.catheter.to_toml(&self.heading(&name)))?;
         save(&self.out.join("fit.csv"), &values(&result))?;
         let settings =
@@ -155,6 +156,7 @@ impl FitArgs {
             .chain(judged.iter().zip(&other).map(|(r, c)| (r, c, false)));
         let page = catheter_fit::page(&result, &all.collect::<Vec<_>>(), &settings);
         save(&self.out.join("fit.html"), &page)?;
+        drop(whole);
         if quiet { Ok(()) } else { output::print(&self.summary(&result, &own, &other)) }
     }
 

@@ -1,13 +1,14 @@
 //! Currents that lead the tip along a path.
 
-use super::super::Failure;
 use super::super::excite::check_coils;
 use super::super::output::{self, PAGE, save};
+use super::super::progress::Progress;
 use super::super::units::short_s;
+use super::super::{Failure, interrupt};
 use super::folder::{Own, prepare};
 use super::{Common, failure};
 use crate::calibrate::length_m;
-use crate::catheter::{Followed, Target, follow, harmonics};
+use crate::catheter::{Followed, Target, follow_with_progress, harmonics};
 use crate::plural::plural;
 use crate::report::catheter as pages;
 use crate::series::{SeriesError, columns, play};
@@ -15,6 +16,7 @@ use crate::source::times::decimal_seconds;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
+use std::mem;
 use std::path::{Path, PathBuf};
 
 /// Up to this size circles were found to have the linearised response (docs/catheter.md).
@@ -26,6 +28,8 @@ const CENTRE_M: (f64, f64) = (28e-3, 0.0);
 const RADIUS_M: f64 = 8e-3;
 const POINTS: u32 = 200;
 /// The headers of tables.
+/// The tip is this far from a point that it does not reach.
+const OUT_OF_REACH_M: f64 = 1e-5;
 const DESIRED: &str = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\r\n";
 const RESPONSE: &str = "pause_ms,frequency_hz,magnitude_db,phase_deg\r\n";
 
@@ -71,7 +75,7 @@ fn radius_m(text: &str) -> Result<f64, String> {
 }
 
 impl FollowArgs {
-    pub(super) fn run(&self) -> Result<(), Failure> {
+    pub(super) fn run(&self, quiet: bool) -> Result<(), Failure> {
         let (name, catheter) = self.common.load()?;
         let [a, b, c] = self.coils.as_slice() else {
             let text = format!("--coils: {} names, expected three", self.coils.len());
@@ -90,7 +94,24 @@ impl FollowArgs {
         let inputs: Vec<&Path> = self.common.catheter.as_deref().into_iter().chain([Path::new(&self.path)]).collect();
         prepare(&self.out, &files, &inputs)?;
         let targets = self.targets(catheter.origin_m())?;
-        let followed = follow(&catheter, &targets).map_err(failure)?;
+        let mut progress = Progress::of(Some(targets.len() as u64), "points", quiet);
+        let (mut reached, mut all_reached) = (0, true);
+        let each = |found: &Followed| {
+            if found.off_m <= OUT_OF_REACH_M {
+                reached += 1;
+            } else if mem::replace(&mut all_reached, false) {
+                let (point, off_mm) = (reached + 1, found.off_m * 1e3);
+                tracing::warn!(
+                    "point {point} of {} is out of reach: the tip gets to within {off_mm:.1} mm. Is the path as you \
+                     meant it? Points out of reach take long",
+                    targets.len()
+                );
+            }
+            progress.one_more();
+        };
+        let followed = follow_with_progress(&catheter, &targets, each).map_err(failure)?;
+        drop(progress);
+        let whole = interrupt::wait();
         save(&self.out.join("desired.csv"), &desired(&followed, catheter.origin_m()))?;
         for (pause_s, table) in &tables {
             let rows = self.rows(&followed, *pause_s);
@@ -114,6 +135,7 @@ impl FollowArgs {
         save(&self.out.join("response.csv"), &csv)?;
         let page = pages::follow_page(&name, &catheter, &self.path, &targets, &followed);
         save(&self.out.join("follow.html"), &page)?;
+        drop(whole);
         let off: Vec<f64> = followed.iter().map(|f| f.off_m * 1e3).collect();
         let rms = (off.iter().map(|v| v * v).sum::<f64>() / off.len() as f64).sqrt();
         let peak_ma = followed.iter().map(|f| f.currents_a.amax()).fold(0.0, f64::max) * 1e3;
@@ -129,7 +151,7 @@ impl FollowArgs {
             off.iter().fold(0.0, |a: f64, b| a.max(*b))
         );
         let _ = writeln!(text, "  largest current                     {peak_ma:.1} mA");
-        let far = followed.iter().filter(|f| f.off_m > 1e-5).count();
+        let far = followed.iter().filter(|f| f.off_m > OUT_OF_REACH_M).count();
         if far > 0 {
             let _ = writeln!(
                 text,

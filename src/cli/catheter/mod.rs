@@ -104,7 +104,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     match &args.command {
         Command::Shape(args) => args.run(),
         Command::Reach(args) => args.run(),
-        Command::Follow(args) => args.run(),
+        Command::Follow(args) => args.run(quiet),
         Command::Run(args) => args.run(quiet),
         Command::Fit(args) => args.run(quiet),
     }
@@ -181,6 +181,7 @@ impl ShapeArgs {
             );
         }
         if let Some(out) = &self.out {
+            let _whole = interrupt::wait();
             save(out, &pages::shape_page(&name, &catheter, [x, y, z], &shape, &by))?;
             let _ = writeln!(text, "\nwritten: {}", out.display());
         }
@@ -223,6 +224,7 @@ impl ReachArgs {
                 let _ = write!(csv, "{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},", i.x, i.y, i.z, p.x, p.y, p.z);
                 let _ = write!(csv, "{:.8},{:.8},{:.8},{:.6}\r\n", t.x, t.y, t.z, r.theta_rad.to_degrees());
             }
+            let _whole = interrupt::wait();
             save(&out.join("reach.csv"), &csv)?;
             save(&out.join("reach.html"), &pages::reach_page(&name, &catheter, &found))?;
             let _ = writeln!(text, "\nwritten: {} in {}", files.map(|(name, _)| name).join(", "), out.display());

@@ -4,7 +4,7 @@ use super::args::Args;
 use super::report_files;
 use crate::cli::outcome::Outcome;
 use crate::cli::output::REPORT;
-use crate::cli::{Exit, Failure, interrupt, output};
+use crate::cli::{Exit, Failure, output};
 use crate::identify::data::segments::Data;
 use crate::identify::model::reproduction::Kind;
 use crate::identify::results::applied::{Applied, apply};
@@ -33,8 +33,7 @@ pub(super) fn run(
         tracing::warn!("{note}");
     }
     let written = {
-        let _whole = interrupt::wait();
-        let _held = args.results().take()?;
+        let _writing = args.results().take()?;
         let mut written = export::write_applied(&args.out, data, &done, &saved, provenance)
             .map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join(REPORT);

@@ -56,8 +56,7 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
     }
     // 3. files
     let written = {
-        let _whole = interrupt::wait();
-        let _held = results.take()?;
+        let _writing = results.take()?;
         let mut written =
             export::write(&args.out, data, &done, &provenance).map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join(output::REPORT);

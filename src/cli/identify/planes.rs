@@ -5,7 +5,7 @@ use super::args::{Args, DelayArg};
 use super::currents;
 use super::records::{self, Driven};
 use crate::cli::outcome::Outcome;
-use crate::cli::{Exit, Failure, interrupt, output};
+use crate::cli::{Exit, Failure, output};
 use crate::identify::data::from_recording::Observed;
 use crate::identify::planes::{Motion, OUTPUTS, Planes, PlanesError, Settings, identify, moving};
 use crate::plural::plural;
@@ -42,8 +42,7 @@ pub(super) fn run(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
     }
     let all: Vec<&Motion> = records.iter().collect();
     let written = {
-        let _whole = interrupt::wait();
-        let _held = args.results().take()?;
+        let _writing = args.results().take()?;
         let json = found.json(&coils).map_err(|e| Failure::new(Exit::Failed, e))?;
         let tables = [found.response_csv(&coils), found.signals_csv(&all)];
         let [response, signals] = tables.map(|table| table.map_err(|e| Failure::new(Exit::Failed, e)));

@@ -171,7 +171,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         }
         None => args.from.open(&args.source, rig.camera.size_px, clock, &until.stop)?,
     };
-    fitting::check_size(&args.name(), source.size_px(), (&args.rig, &rig))?;
+    fitting::check_size(&args.name(), source.size_px(), (&args.rig, rig.camera.size_px))?;
     let files = Files::new(&args.folder(), None, false).recording(args.record);
     let latest = args.studio.is_some().then(|| Arc::new(live::Latest::default()));
     let switch = args.studio.is_some().then(|| Arc::new(recording::switch(args.record)));

@@ -24,7 +24,6 @@ pub(super) struct StatusLine {
     warned_silent: bool,
     warned_pictures: bool,
     warned_gone: bool,
-    last: Instant,
 }
 
 impl StatusLine {
@@ -42,7 +41,6 @@ impl StatusLine {
             warned_silent: false,
             warned_pictures: false,
             warned_gone: false,
-            last: Instant::now(),
         }
     }
 
@@ -59,9 +57,6 @@ impl StatusLine {
             self.warned_skipped = true;
             tracing::warn!("{source}: the tracker does not keep up: frames are skipped, each still has its row");
         }
-        let elapsed_s = self.last.elapsed().as_secs_f64().max(1e-3);
-        self.last = Instant::now();
-        let rate = status.new_frames as f64 / elapsed_s;
         let angle = status.theta_rad.map_or("θ –".to_owned(), |(theta, sd)| {
             format!("θ {:+.2}° ± {:.2}°", theta.to_degrees(), sd.to_degrees())
         });
@@ -74,9 +69,9 @@ impl StatusLine {
         let ms = |us: u64| us as f64 * 1e-3;
         let (p50, p99) = (ms(status.latency.p50_us), ms(status.latency.p99_us));
         let mut text = format!(
-            "{rate:5.1} Hz · {} lost · {} skipped · latency {p50:.1} ms, 99 % within {p99:.1} ms · {angle} · {seen} of \
+            "{:5.1} Hz · {} lost · {} skipped · latency {p50:.1} ms, 99 % within {p99:.1} ms · {angle} · {seen} of \
              {markers} markers",
-            status.lost, status.skipped
+            status.rate_hz, status.lost, status.skipped
         );
         if let Some(silent) = status.silent {
             let (lost, skipped) = (status.lost, status.skipped);

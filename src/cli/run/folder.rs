@@ -12,7 +12,7 @@ use super::super::{Exit, Failure};
 use super::options::Record;
 use crate::archive::{FileRecord, RunSummary, SUMMARY, hash};
 use crate::atomic_file;
-use crate::log::schema::{LOG_FILE, PICTURES_FILE, TABLE_FILE};
+use crate::log::schema::{LOG_FILE, PICTURES_FILE, TABLE_FILE, pictures_file};
 use crate::tally::budget::{Contribution, together};
 use crate::vetoes;
 use serde::{Deserialize, Serialize};
@@ -146,7 +146,11 @@ impl Files {
         let earlier = self.earlier_run(run)?;
         self.places_are_free(earlier.is_some())?;
         let cannot = |path: &Path, e: io::Error| {
-            Failure::because(Exit::Failed, format!("cannot write to the output folder {}: {e}", path.display()), e)
+            Failure::because(
+                Exit::Failed,
+                format!("{}: cannot be written: {e}; choose another folder with -o", path.display()),
+                e,
+            )
         };
         fs::create_dir_all(&self.folder).map_err(|e| cannot(&self.folder, e))?;
         let held = Lock::take(&self.folder, WRITES_RESULTS)?;
@@ -216,18 +220,24 @@ impl Files {
         Ok(found)
     }
 
+    /// Names of the videos of pictures that are there: one for each time that recording was switched on.
+    pub(in crate::cli) fn videos(&self) -> impl Iterator<Item = String> + use<'_> {
+        (1..).map(pictures_file).take_while(|name| self.folder.join(name).is_file())
+    }
+
     /// The files that are there, with their sizes and the hash of the table; without the summary.
     ///
     /// # Errors
     /// The system's.
     pub(in crate::cli) fn written(&self) -> io::Result<Vec<FileRecord>> {
         let mut files = Vec::new();
-        for name in ALL.into_iter().filter(|name| *name != SUMMARY) {
-            let path = self.folder.join(name);
+        let one_each = ALL.into_iter().filter(|name| ![SUMMARY, PICTURES_FILE].contains(name)).map(str::to_owned);
+        for name in one_each.chain(self.videos()) {
+            let path = self.folder.join(&name);
             match fs::metadata(&path) {
                 Ok(found) => {
                     let sha256 = if name == TABLE_FILE { Some(hash::of_file(&path)?) } else { None };
-                    files.push(FileRecord { name: name.to_owned(), bytes: found.len(), sha256 });
+                    files.push(FileRecord { name, bytes: found.len(), sha256 });
                 }
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
                 Err(error) => return Err(error),
@@ -345,6 +355,17 @@ mod tests {
             profile: None,
             tick_led: None,
         }
+    }
+
+    #[test]
+    fn all_videos_of_pictures_are_listed() {
+        let place = tempfile::tempdir().unwrap();
+        let files = Files::new(place.path(), None, false);
+        for name in ["pictures.mkv", "pictures-2.mkv", "pictures-4.mkv"] {
+            fs::write(place.path().join(name), "video").unwrap();
+        }
+        let names: Vec<String> = files.written().unwrap().into_iter().map(|file| file.name).collect();
+        assert_eq!(names, ["pictures.mkv", "pictures-2.mkv"]);
     }
 
     #[test]

@@ -102,17 +102,19 @@ pub(in crate::cli) fn summary(
     let took_s = run.elapsed.as_secs_f64();
     writeln!(out, "\ntracked in {took_s:.1} s, {:.0} frames per second", tally.frames as f64 / took_s.max(1e-9))?;
     writeln!(out, "results in {}", files.folder.display())?;
-    let named: [(Option<&PathBuf>, &str); 5] = [
+    let videos: Vec<PathBuf> = files.videos().map(|name| files.folder.join(name)).collect();
+    let named: [(Option<&PathBuf>, &str); 4] = [
         (Some(&files.table), "one row per frame"),
         (Some(&files.report), "to look at, in a browser"),
         (files.overlay.as_ref(), "the recording with what was found drawn into it"),
         (Some(&files.log), "everything, for Foxglove and programs"),
-        (files.pictures.as_ref(), "the pictures, to be tracked again"),
     ];
+    let named = named.into_iter().filter_map(|(path, what)| Some((path?, what)));
+    let named = named.chain(videos.iter().map(|path| (path, "pictures, to be tracked again")));
     // Every error of a file names it.
     let failed: Vec<String> = run.sink_failures.iter().map(ToString::to_string).collect();
     let is_broken = |path: &Path| failed.iter().any(|said| said.contains(&*path.to_string_lossy()));
-    for (path, what) in named.into_iter().filter_map(|(path, what)| Some((path?, what))) {
+    for (path, what) in named {
         let on_stdout = path == &files.table && files.table_on_stdout();
         if !on_stdout && std::fs::metadata(path).is_ok_and(|found| found.is_file() && found.len() == 0) {
             continue;

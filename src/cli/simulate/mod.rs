@@ -198,7 +198,7 @@ impl Args {
         let mut files = self.codec.files(stamps.len());
         files.extend(["truth.csv", "rig.toml", CATHETER].map(str::to_owned));
         let results = self.results(files);
-        let _held = results.take()?;
+        let _writing = results.take()?;
         rig.save(&self.out.join("rig.toml"))?;
         output::save(&self.out.join(CATHETER), &mount.catheter.to_toml(&self.heading()))?;
         let mut progress = Progress::of_frames(Some(stamps.len() as u64), quiet);
@@ -290,7 +290,7 @@ impl Args {
                 .map_err(|e| Failure::usage(format!("{}: {e}", self.rig.display())))?;
             planned.push((set, boards, poses));
         }
-        let _held = self.results(files).take()?;
+        let _writing = self.results(files).take()?;
         rig.save(&self.out.join("rig.toml"))?;
         let mut progress = Progress::of(Some(2 * count as u64), "pictures", quiet);
         let [width, height] = rig.camera.size_px;

@@ -11,11 +11,11 @@
 use super::form::{FileMessage, FileTopic};
 use crate::log::records::plain_records;
 use crate::log::schema::TOPICS_ATTACHMENT;
-use crate::log::{CHUNK_BYTES, CHUNK_SPAN, write_options};
+use crate::log::{CHUNK_BYTES, CHUNK_SPAN, system_error, write_options};
 use crate::sink::{SinkError, same_error, settle};
 use mcap::records::{MessageHeader, Metadata, op};
 use mcap::write::NoSeek;
-use mcap::{Attachment, McapError, McapResult, WriteOptions};
+use mcap::{Attachment, McapResult, WriteOptions};
 use parking_lot::{Condvar, Mutex};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -181,7 +181,13 @@ impl LogFile {
 }
 
 /// Adds topics; returns their channels.
-fn add_all<W: io::Write + io::Seek>(writer: &mut mcap::Writer<W>, topics: &[FileTopic]) -> McapResult<Vec<u16>> {
+///
+/// # Errors
+/// The writer's.
+pub(crate) fn add_all<W: io::Write + io::Seek>(
+    writer: &mut mcap::Writer<W>,
+    topics: &[FileTopic],
+) -> McapResult<Vec<u16>> {
     let mut add = |topic: &FileTopic| {
         let schema = match &topic.schema {
             Some((name, encoding, data)) => writer.add_schema(name, encoding, data)?,
@@ -243,13 +249,5 @@ impl OpenFile {
             self.writer = None;
             copy
         })
-    }
-}
-
-/// The system's error, without the wrapper that hides it.
-fn system_error(error: McapError) -> io::Error {
-    match error {
-        McapError::Io(source) => source,
-        other => io::Error::other(other),
     }
 }

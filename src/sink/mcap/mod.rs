@@ -22,6 +22,7 @@
 mod file;
 mod form;
 
+pub(crate) use file::add_all;
 pub use form::Profile;
 pub(crate) use form::{FileMessage, FileTopic, RosLog};
 

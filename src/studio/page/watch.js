@@ -280,7 +280,7 @@ export class Watch {
     const ms = (v) => `${v.toFixed(2)} ms`;
     const figures = [
       [status.frames, "frames"],
-      [`${status.rate} / s`, "in the last second"],
+      [`${status.rate.toFixed(1)} / s`, "in the last second"],
       [status.lost, "lost"],
       [status.skipped, "passed over"],
       [ms(status.p50_ms), "arrival to θ, median of the last second"],
