@@ -281,19 +281,14 @@ impl Bundle {
         NoSolution::NotSeen { picture: self.names.get(corner.picture).cloned().unwrap_or_default(), why }
     }
 
-    /// σ of a corner's coordinate: first from the median of the residuals, then from all that are not outliers by that.
+    /// σ of a corner's coordinate: from all residuals that are no outliers.
     fn noise(&self, residuals_px: &[Vector2<f64>], is_rigid: bool) -> f64 {
         let of_shape = if is_rigid { 0 } else { shape::PARAMETERS };
         let unknowns = self.free.len() + of_shape + 6 * self.poses.len();
         let coordinates = (2 * residuals_px.len()) as f64;
         let freedom = (coordinates - unknowns as f64).max(1.0) / coordinates;
-        let in_own = |(r, corner): (&Vector2<f64>, &Corner)| r.norm_squared() / corner.relative_sd.powi(2);
-        let squares: Vec<f64> = residuals_px.iter().zip(&self.corners).map(in_own).collect();
-        let median = upper_median(squares.iter().copied()).unwrap_or_default();
-        // The median of |r|² of two independent Gaussian coordinates is 2 ln 2 σ².
-        let limit = OUTLIER.powi(2) * median / (2.0 * std::f64::consts::LN_2);
-        let inliers: Vec<f64> = squares.into_iter().filter(|s| *s <= limit).collect();
-        let mean = inliers.iter().sum::<f64>() / inliers.len().max(1) as f64;
+        let inliers = inliers(residuals_px, &self.corners);
+        let mean = inliers.iter().map(|(_, square)| square).sum::<f64>() / inliers.len().max(1) as f64;
         (mean / 2.0 / freedom).sqrt().max(MIN_SD_PX)
     }
 
@@ -373,6 +368,19 @@ impl Solution {
             shape: self.shape,
         }
     }
+}
+
+/// View and squared residual, in units of the corner's own σ, of the corners that are no outliers beside the median of
+/// their view: an image in a mirror may have more noise than the direct one.
+pub(crate) fn inliers(residuals_px: &[Vector2<f64>], corners: &[Corner]) -> Vec<(usize, f64)> {
+    let in_own = |(r, corner): (&Vector2<f64>, &Corner)| (corner.view, r.norm_squared() / corner.relative_sd.powi(2));
+    let mut squares: Vec<(usize, f64)> = residuals_px.iter().zip(corners).map(in_own).collect();
+    let views = squares.iter().map(|(view, _)| view + 1).max().unwrap_or_default();
+    let of_view = |of: usize| squares.iter().filter(move |(view, _)| *view == of).map(|(_, square)| *square);
+    let medians: Vec<f64> = (0..views).map(|view| upper_median(of_view(view)).unwrap_or_default()).collect();
+    // The median of |r|² of two independent Gaussian coordinates is 2 ln 2 σ².
+    squares.retain(|(view, square)| *square <= OUTLIER.powi(2) * medians[*view] / (2.0 * std::f64::consts::LN_2));
+    squares
 }
 
 /// σ of a surface's normal, by the tilt that is known less, radians, and of its distance, metres, from the σ of

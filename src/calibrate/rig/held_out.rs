@@ -10,7 +10,7 @@
 //! Cannot tell: a common motion of everything (it changes no length), a wrong size of the squares (it affects all
 //! pictures).
 
-use crate::calibrate::bundle::{Corner, NoSolution, Solution};
+use crate::calibrate::bundle::{Corner, NoSolution, Solution, inliers};
 use crate::calibrate::rig::RigCalibration;
 use crate::optics::{Sighting, triangulate};
 use nalgebra::{Matrix2, Matrix3, Point3};
@@ -122,14 +122,14 @@ fn first_held_out(count: usize, solution: &Solution, corners: &[Corner]) -> Vec<
 /// Noise of the corners of each view, as its residuals tell: an image in a mirror is smaller and less sharp, and the
 /// noise common to all would explain too little of the lengths.
 fn view_sd_px(solution: &Solution, corners: &[Corner]) -> Vec<f64> {
-    let mean_square = |counts: &dyn Fn(&Corner) -> bool| {
-        let all = corners.iter().zip(&solution.residuals_px).filter(|(corner, _)| counts(corner));
-        let squares = all.map(|(corner, residual)| residual.norm_squared() / corner.relative_sd.powi(2));
-        let (sum, count) = squares.fold((0.0, 0), |(sum, count), square| (sum + square, count + 1));
+    let inliers = inliers(&solution.residuals_px, corners);
+    let mean_square = |counts: &dyn Fn(usize) -> bool| {
+        let counted = inliers.iter().filter(|(view, _)| counts(*view));
+        let (sum, count) = counted.fold((0.0, 0), |(sum, count), (_, square)| (sum + square, count + 1));
         (count > 0 && sum > 0.0).then(|| sum / f64::from(count))
     };
     let common = mean_square(&|_| true);
-    let of = |view| Some((mean_square(&|corner| corner.view == view)? / common?).sqrt());
+    let of = |view: usize| Some((mean_square(&|other| other == view)? / common?).sqrt());
     (0..solution.geometry.views.len()).map(|view| solution.corner_sd_px * of(view).unwrap_or(1.0)).collect()
 }
 
