@@ -27,9 +27,9 @@ const SHORTEST_PAUSE_S: f64 = 1e-3;
 const CENTRE_M: (f64, f64) = (28e-3, 0.0);
 const RADIUS_M: f64 = 8e-3;
 const POINTS: u32 = 200;
-/// The headers of tables.
 /// The tip is this far from a point that it does not reach.
 const OUT_OF_REACH_M: f64 = 1e-5;
+/// The headers of tables.
 const DESIRED: &str = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\r\n";
 const RESPONSE: &str = "pause_ms,frequency_hz,magnitude_db,phase_deg\r\n";
 

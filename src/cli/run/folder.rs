@@ -166,10 +166,13 @@ impl Files {
             }
             let timed_alike = earlier.fps == run.fps;
             self.set_vetoes_aside(Path::new(&run.recording), timed_alike).map_err(|e| cannot(&self.folder, e))?;
-            for name in ALL.into_iter().filter(|name| *name != RUN) {
+            let videos = self.videos_of_earlier();
+            let is_video = |name: &str| name == OVERLAY || videos.iter().any(|video| video == name);
+            let names = ALL.into_iter().filter(|name| ![RUN, PICTURES_FILE].contains(name));
+            for name in names.chain(videos.iter().map(String::as_str)) {
                 let path = self.folder.join(name);
                 match fs::remove_file(&path) {
-                    Ok(()) if [OVERLAY, PICTURES_FILE].contains(&name) && !self.all().any(|own| *own == path) => {
+                    Ok(()) if is_video(name) && !self.all().any(|own| *own == path) => {
                         tracing::warn!("{}: of an earlier run, and this one makes none: removed", path.display());
                     }
                     Err(e) if e.kind() != ErrorKind::NotFound => return Err(cannot(&path, e)),
@@ -223,6 +226,13 @@ impl Files {
     /// Names of the videos of pictures that are there: one for each time that recording was switched on.
     pub(in crate::cli) fn videos(&self) -> impl Iterator<Item = String> + use<'_> {
         (1..).map(pictures_file).take_while(|name| self.folder.join(name).is_file())
+    }
+
+    /// The first of these, and further ones that the summary of an earlier run names: others may be the user's.
+    fn videos_of_earlier(&self) -> Vec<String> {
+        let files = RunSummary::read(&self.folder).ok().flatten().map_or(Vec::new(), |summary| summary.files);
+        let is_named = |name: &String| name == PICTURES_FILE || files.iter().any(|file| file.name == *name);
+        self.videos().filter(is_named).collect()
     }
 
     /// The files that are there, with their sizes and the hash of the table; without the summary.
