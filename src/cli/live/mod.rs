@@ -253,6 +253,14 @@ fn verdict_of(args: &Args, rig: &Rig, live: LiveSummary) -> Result<(), Failure> 
         let text = format!("missing in the files, because the log could not keep up: {}", missing.join(", "));
         return Err(Failure::new(Exit::Failed, text));
     }
+    let lost = live.run.tally.lost;
+    if args.motion().is_some() && lost > 0 {
+        tracing::warn!(
+            "{}: rendering does not keep up, {} lost by it: with a lower --fps none is",
+            args.source,
+            plural(lost, "frame")
+        );
+    }
     if live.lost_currents {
         let from = args.currents.as_ref().map_or_else(String::new, ToString::to_string);
         let text = format!("{from}: the currents were lost during the run; the log has those before");
@@ -327,12 +335,14 @@ impl Args {
         Ok(controllers)
     }
 
+    /// The motion that is simulated, if no camera is to be read.
+    fn motion(&self) -> Option<&str> {
+        self.source.strip_prefix("sim:").filter(|_| !self.from.realtime && self.from.raw.is_none())
+    }
+
     /// What is to be simulated instead of a camera.
     fn simulated(&self, rig: &Rig) -> Result<Option<Simulated>, Failure> {
-        let Some(motion) = self.source.strip_prefix("sim:").filter(|_| !self.from.realtime && self.from.raw.is_none())
-        else {
-            return Ok(None);
-        };
+        let Some(motion) = self.motion() else { return Ok(None) };
         let known = ["fps", "exposure"];
         if let Some((option, _)) = self.from.settings().iter().find(|(name, _)| !known.contains(name)) {
             let text =
