@@ -1,6 +1,6 @@
 //! `catoptra log convert`: a log as a table, a MAT file, or a log for ROS 2.
 
-use super::log::is_wrong_name;
+use super::failure::is_wrong_name;
 use super::run::Reference;
 use super::{Exit, Failure, output};
 use crate::convert::{ConvertError, Converted, Target, convert};

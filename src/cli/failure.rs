@@ -5,6 +5,7 @@ use crate::rig::RigError;
 use crate::series::SeriesError;
 use std::error::Error;
 use std::fmt;
+use std::io::{self, ErrorKind};
 use std::process::ExitCode;
 
 /// The program's exit code.
@@ -46,6 +47,11 @@ impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {
         Self::from(exit.code())
     }
+}
+
+/// Whether a path leads to nothing, or to a folder: an error of usage, not of the system.
+pub(super) fn is_wrong_name(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::NotFound | ErrorKind::IsADirectory)
 }
 
 /// An error with the exit code it leads to.

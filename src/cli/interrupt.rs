@@ -3,10 +3,11 @@
 //! ([`end_at_once`]).
 
 use super::{Exit, Failure};
-use parking_lot::{Mutex, MutexGuard};
 use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+pub(super) use super::writing::wait;
 
 #[allow(
     unsafe_code,
@@ -18,9 +19,6 @@ mod c {
         pub(super) safe fn _exit(code: std::ffi::c_int) -> !;
     }
 }
-
-/// Held while results are written.
-static WRITING: Mutex<()> = Mutex::new(());
 
 /// The flag that is set when the user, or the system, asks to end. Call once.
 ///
@@ -55,17 +53,6 @@ pub(super) fn end_at_once() -> Result<(), Failure> {
         c::_exit(130);
     })
     .map_err(cannot_watch)
-}
-
-/// Delays termination until the guard is dropped.
-pub(super) fn wait() -> MutexGuard<'static, ()> {
-    WRITING.lock()
-}
-
-/// Whether an interrupt has to wait.
-#[cfg(test)]
-pub(super) fn waits() -> bool {
-    WRITING.is_locked()
 }
 
 fn cannot_watch(error: ctrlc::Error) -> Failure {

@@ -1,5 +1,6 @@
 //! `catoptra log`: inspecting, repairing and converting logs.
 
+use super::failure::is_wrong_name;
 use super::{Exit, Failure, convert, output};
 use crate::estimate::plain_words;
 use crate::log::{Condition, Info, LogError, Repaired, repair};
@@ -7,7 +8,6 @@ use crate::plural::plural;
 use crate::source::times::seconds;
 use clap::Subcommand;
 use std::fmt::{self, Write as _};
-use std::io::{self, ErrorKind};
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
 
@@ -82,11 +82,6 @@ fn failure(error: LogError) -> Failure {
         LogError::Io { .. } | LogError::Repair { .. } | LogError::BeingWritten { .. } => Exit::Failed,
     };
     Failure::new(exit, error)
-}
-
-/// Whether a path leads to nothing, or to a folder: an error of usage, not of the system.
-pub(super) fn is_wrong_name(error: &io::Error) -> bool {
-    matches!(error.kind(), ErrorKind::NotFound | ErrorKind::IsADirectory)
 }
 
 /// Damage of a log, one line each, with times of the camera.

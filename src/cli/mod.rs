@@ -33,6 +33,7 @@ mod track;
 mod units;
 mod validate;
 mod warned;
+mod writing;
 
 pub(crate) use failure::{Exit, Failure};
 

@@ -4,7 +4,7 @@
 //! replaced; results of others, foreign files, and input files are never touched.
 
 use super::lock::{Lock, WRITES_RESULTS};
-use super::{Exit, Failure, interrupt};
+use super::{Exit, Failure, writing};
 use crate::archive::SUMMARY;
 use crate::atomic_file;
 use crate::log::schema::{LOG_FILE, TABLE_FILE};
@@ -189,7 +189,7 @@ impl Results<'_> {
     /// As [`Results::check`]; [`Exit::Failed`] when the folder cannot be written.
     pub(super) fn take(&self) -> Result<Writing, Failure> {
         let folder = self.hold()?;
-        let whole = interrupt::wait();
+        let whole = writing::wait();
         self.remove_earlier(&folder)?;
         self.claim(&folder)?;
         Ok(Writing { _folder: folder, _whole: whole })
@@ -271,7 +271,7 @@ mod tests {
         let other = results(&folder, &b, &["model.json"]).check().unwrap_err();
         assert!(other.exit() == Exit::Usage && other.to_string().contains("a.csv"), "{other}");
         let writing = results(&folder, &a, &["model.json"]).take().unwrap();
-        assert!(interrupt::waits());
+        assert!(writing::waits());
         drop(writing);
         assert!(!folder.join("orders.csv").exists() && folder.join("notes.txt").exists());
     }
