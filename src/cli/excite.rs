@@ -3,7 +3,7 @@
 use super::output::{is_free, is_free_for_page, save};
 use super::results::whole_path;
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
-use super::{Failure, interrupt, output, provenance};
+use super::{Failure, interrupt, output, provenance, writing};
 use crate::digits::fixed;
 use crate::excite::{
     Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Resolution, Signal, Spectrum, Steps, Sweep,
@@ -221,7 +221,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     }
     let spectrum = Spectrum::of(&made.signal);
     warn_of_little_in_band(&made, &spectrum);
-    let whole = interrupt::wait();
+    let whole = writing::wait();
     save(&common.out, &text)?;
     if let Some(page) = &page {
         let settings = [made.info.settings.as_slice(), &provenance::of_this_run()].concat();

@@ -2,12 +2,10 @@
 //! signal ([`watch`]); one without results until its end terminates at once, but not in the middle of a file
 //! ([`end_at_once`]).
 
-use super::{Exit, Failure};
+use super::{Exit, Failure, writing};
 use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-pub(super) use super::writing::wait;
 
 #[allow(
     unsafe_code,
@@ -40,13 +38,13 @@ pub(super) fn watch() -> Result<Arc<AtomicBool>, Failure> {
     Ok(asked)
 }
 
-/// Ends the program when the user, or the system, asks: at once, or when what [`wait`] asked for is over. Call once.
+/// Ends the program when the user, or the system, asks: at once, or when what [`writing::wait`] asked for is over. Call once.
 ///
 /// # Errors
 /// When the system does not allow handling the signals.
 pub(super) fn end_at_once() -> Result<(), Failure> {
     ctrlc::set_handler(|| {
-        let _whole = wait();
+        let _whole = writing::wait();
         // Without stderr nothing can be printed; the run ends anyway.
         let _ = writeln!(super::progress::stderr(), "interrupted");
         super::outcome::interrupted();

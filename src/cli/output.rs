@@ -1,7 +1,7 @@
 //! Results on stdout and in single files.
 
 use super::results::RUN;
-use super::{Exit, Failure};
+use super::{Exit, Failure, writing};
 use crate::atomic_file;
 use std::fs::File;
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -58,8 +58,9 @@ pub(super) fn is_free_for_page(path: &Path) -> Result<(), Failure> {
     is_free(path, |text| text.starts_with(PAGE), "a page")
 }
 
-/// Writes a file in one step.
+/// Writes a file in one step; an interrupt waits for it.
 pub(super) fn save(path: &Path, text: &(impl AsRef<[u8]> + ?Sized)) -> Result<(), Failure> {
+    let _whole = writing::wait();
     atomic_file::write(path, text.as_ref())
         .map_err(|e| Failure::because(Exit::Failed, format!("{}: cannot be written: {e}", path.display()), e))
 }

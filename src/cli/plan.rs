@@ -39,9 +39,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let plan = Plan::of(&rig, &mount, watch).map_err(|e| of_rig(e.to_string()))?;
     drop(progress);
     let name = args.rig.display().to_string();
-    let whole = interrupt::wait();
     save(&args.out, &page::page(&name, &plan))?;
-    drop(whole);
     if quiet { Ok(()) } else { print(&format!("{}\nwritten: {}\n", summary(&name, &plan), args.out.display())) }
 }
 

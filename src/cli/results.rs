@@ -8,7 +8,7 @@ use super::{Exit, Failure, writing};
 use crate::archive::SUMMARY;
 use crate::atomic_file;
 use crate::log::schema::{LOG_FILE, TABLE_FILE};
-use parking_lot::MutexGuard;
+use parking_lot::ReentrantMutexGuard;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -158,7 +158,7 @@ struct Run {
 #[must_use = "it holds as long as this lives"]
 pub(super) struct Writing {
     _folder: Lock,
-    _whole: MutexGuard<'static, ()>,
+    _whole: ReentrantMutexGuard<'static, ()>,
 }
 
 impl Results<'_> {

@@ -1,12 +1,12 @@
 //! Results that are written whole: an interrupt waits until they are.
 
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::{ReentrantMutex, ReentrantMutexGuard};
 
-/// Held while results are written.
-static WRITING: Mutex<()> = Mutex::new(());
+/// Held while results are written: for each file, and around files that belong together.
+static WRITING: ReentrantMutex<()> = ReentrantMutex::new(());
 
 /// Delays termination until the guard is dropped.
-pub(super) fn wait() -> MutexGuard<'static, ()> {
+pub(super) fn wait() -> ReentrantMutexGuard<'static, ()> {
     WRITING.lock()
 }
 

@@ -10,7 +10,7 @@ mod rig;
 use super::lock::Lock;
 use super::outcome::{self, HiddenJson, Outcome};
 use super::results::may_write_in;
-use super::{Exit, Failure, interrupt, output};
+use super::{Exit, Failure, interrupt, output, writing};
 use crate::calibrate::length_m;
 use crate::calibrate::rig::RigOptions;
 use crate::rig::{Draft, Rig};
@@ -187,7 +187,7 @@ pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
 
 /// Writes the rig, keeping a different one that was there as a backup; returns what was written, in words.
 pub(super) fn save(rig: &Draft, path: &Path) -> Result<String, Failure> {
-    let _whole = interrupt::wait();
+    let _whole = writing::wait();
     let kept_as = rig.save_with_backup(path)?;
     outcome::wrote(path);
     let kept = kept_as.map_or(String::new(), |name| format!("\n         {} (the rig as it was)", name.display()));
@@ -209,7 +209,6 @@ fn page_beside(rig: &Path, kind: &str) -> Result<PathBuf, Failure> {
 
 /// Writes a page beside the rig.
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
-    let _whole = interrupt::wait();
     output::save(path, page)?;
     outcome::wrote(path);
     Ok(())

@@ -4,7 +4,7 @@ use super::super::copies;
 use super::super::output::{PAGE, save};
 use super::super::progress::Stages;
 use super::super::units::{duration_s, seconds_ns};
-use super::super::{Exit, Failure, interrupt, output, provenance};
+use super::super::{Exit, Failure, output, provenance, writing};
 use super::bands::Seen;
 use super::recorded::{Reading, rms};
 use super::run::Columns;
@@ -144,7 +144,7 @@ impl FitArgs {
         for doubt in own.iter().chain(&other).filter_map(Check::doubt) {
             tracing::warn!("doubt: {doubt}");
         }
-        let whole = interrupt::wait();
+        let whole = writing::wait();
         save(&self.out.join("catheter.toml"), &result.catheter.to_toml(&self.heading(&name)))?;
         save(&self.out.join("fit.csv"), &values(&result))?;
         let settings =

@@ -4,7 +4,7 @@ use super::super::excite::check_coils;
 use super::super::output::{self, PAGE, save};
 use super::super::progress::Progress;
 use super::super::units::short_s;
-use super::super::{Failure, interrupt};
+use super::super::{Failure, writing};
 use super::folder::{Own, prepare};
 use super::{Common, failure};
 use crate::calibrate::length_m;
@@ -111,7 +111,7 @@ impl FollowArgs {
         };
         let followed = follow_with_progress(&catheter, &targets, each).map_err(failure)?;
         drop(progress);
-        let whole = interrupt::wait();
+        let whole = writing::wait();
         save(&self.out.join("desired.csv"), &desired(&followed, catheter.origin_m()))?;
         for (pause_s, table) in &tables {
             let rows = self.rows(&followed, *pause_s);

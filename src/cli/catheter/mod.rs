@@ -11,7 +11,7 @@ pub(super) use run::Columns;
 
 use super::output::{PAGE, is_free_for_page, save};
 use super::units::current_a;
-use super::{Exit, Failure, interrupt, output};
+use super::{Exit, Failure, interrupt, output, writing};
 use crate::catheter::{Catheter, CatheterError, Load, equilibrium, reach};
 use crate::report::catheter as pages;
 use clap::Subcommand;
@@ -181,7 +181,6 @@ impl ShapeArgs {
             );
         }
         if let Some(out) = &self.out {
-            let _whole = interrupt::wait();
             save(out, &pages::shape_page(&name, &catheter, [x, y, z], &shape, &by))?;
             let _ = writeln!(text, "\nwritten: {}", out.display());
         }
@@ -224,7 +223,7 @@ impl ReachArgs {
                 let _ = write!(csv, "{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},", i.x, i.y, i.z, p.x, p.y, p.z);
                 let _ = write!(csv, "{:.8},{:.8},{:.8},{:.6}\r\n", t.x, t.y, t.z, r.theta_rad.to_degrees());
             }
-            let _whole = interrupt::wait();
+            let _whole = writing::wait();
             save(&out.join("reach.csv"), &csv)?;
             save(&out.join("reach.html"), &pages::reach_page(&name, &catheter, &found))?;
             let _ = writeln!(text, "\nwritten: {} in {}", files.map(|(name, _)| name).join(", "), out.display());

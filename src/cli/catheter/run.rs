@@ -1,8 +1,8 @@
 //! `catoptra catheter run`: what a camera would record of the catheter under given currents.
 
+use super::super::Failure;
 use super::super::output::{is_free, print, save};
 use super::super::units::{duration_or_none_s, duration_s, frequency_hz, part_of_frames};
-use super::super::{Failure, interrupt};
 use super::{Common, failure};
 use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, record, seen};
 use crate::log::schema::table;
@@ -195,9 +195,7 @@ impl RunArgs {
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
         let times_s = (0..frames as u64).map(|k| k as f64 / self.rate);
         let moments = record(&catheter, &commands, tip_n, times_s, accuracy).map_err(failure)?;
-        let whole = interrupt::wait();
         save(&self.out, &rows(&seen(&moments, noise, self.seed), noise, catheter.origin_m()))?;
-        drop(whole);
         if quiet { Ok(()) } else { print(&summary(&name, &moments, self.rate, &self.out)) }
     }
 

@@ -69,8 +69,8 @@ impl StatusLine {
         let ms = |us: u64| us as f64 * 1e-3;
         let (p50, p99) = (ms(status.latency.p50_us), ms(status.latency.p99_us));
         let mut text = format!(
-            "{:5.1} Hz · {} lost · {} skipped · latency {p50:.1} ms, 99 % within {p99:.1} ms · {angle} · {seen} of \
-             {markers} markers",
+            "{:5.1} Hz · {} lost · {} skipped · latency {p50:.1} ms, 99 % within {p99:.1} ms · {angle} · \
+             {seen} of {markers} markers",
             status.rate_hz, status.lost, status.skipped
         );
         if let Some(silent) = status.silent {
