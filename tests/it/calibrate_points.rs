@@ -249,6 +249,46 @@ fn a_left_handed_frame_is_told() {
     assert!(said(&output).contains("left-handed"), "{}", said(&output));
 }
 
+/// Exchanged views and exchanged points are left out by name, and the rest is calibrated.
+#[test]
+fn what_is_exchanged_in_a_table_is_named_and_left_out() {
+    let row = |text: &str, start: &str| text.lines().position(|row| row.starts_with(start)).unwrap();
+    for (places, with_sd) in [(plate(), true), (plate(), false), (frame(), true)] {
+        let good = table(&places, 10, with_sd);
+        let rows = |change: &dyn Fn(&mut Vec<String>)| {
+            let mut rows: Vec<String> = good.lines().map(str::to_owned).collect();
+            change(&mut rows);
+            rows.join("\n") + "\n"
+        };
+        let views = rows(&|rows| {
+            for row in rows.iter_mut().filter(|row| row.starts_with("p3.png,")) {
+                let [from, to] = if row.contains("direct") { ["direct", "mirror"] } else { ["mirror", "direct"] };
+                *row = row.replacen(from, to, 1);
+            }
+        });
+        let points = rows(&|rows| {
+            for (view, apart) in [("p3.png,mirror", 1), ("p5.png,direct", 9)] {
+                let first = row(&good, view) + 3;
+                let cells = |k: usize| good.lines().nth(k).unwrap().split(',').collect::<Vec<_>>();
+                let with_places_of = |own: usize, other: usize| {
+                    let (own, other) = (cells(own), cells(other));
+                    [&own[..4], &other[4..7], &own[7..]].concat().join(",")
+                };
+                rows[first] = with_places_of(first, first + apart);
+                rows[first + apart] = with_places_of(first + apart, first);
+            }
+        });
+        let [exchanged, left_out] = ["are the two views exchanged?", "in each other's place"];
+        for (text, expected, count) in [(&good, "", 0), (&views, exchanged, 1), (&points, left_out, 2)] {
+            let folder = tempfile::tempdir().unwrap();
+            let output = calibrate(folder.path(), text, &[]);
+            let told = said(&output);
+            assert!(output.status.success() && told.matches(expected).count() >= count, "{told}");
+            assert_eq!(told.contains("exchanged?"), count > 0, "{told}");
+        }
+    }
+}
+
 #[test]
 fn points_on_one_line_and_too_few_points_are_told() {
     let line: Vec<Point3<f64>> = (0..6).map(|x| Point3::new(0.01 * f64::from(x), 0.0, 0.0)).collect();

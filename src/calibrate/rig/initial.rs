@@ -19,7 +19,7 @@ use nalgebra::{Isometry3, Point2, Point3, Vector3};
 /// RMS): unmodelled refraction bends them; a wrong order of corners gives far more.
 const PARALLEL: f64 = 0.2;
 /// Planes whose normals differ by more than this are different mirrors.
-const SAME_MIRROR_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
+pub(super) const SAME_MIRROR_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 
 /// Positions of corners on the board and in the picture.
 type Corners = Vec<(Point3<f64>, Point2<f64>)>;
@@ -90,6 +90,24 @@ pub(crate) enum Unusable {
     OnLine {
         /// How many.
         found: usize,
+    },
+    /// The mirror's points are those of the direct view, and the reverse.
+    #[error(
+        "its points of the views direct and {mirror} place the mirror as those of other pictures do, but facing the other \
+         way: are the two views exchanged?"
+    )]
+    Exchanged {
+        /// Name of the mirror's view.
+        mirror: String,
+    },
+    /// Two points are exchanged.
+    #[error(
+        "two of its points fit much better in each other's place, those at ({}) and ({}) mm: are they exchanged?",
+        places_mm[0].map(|mm| format!("{mm:.1}")).join(", "), places_mm[1].map(|mm| format!("{mm:.1}")).join(", ")
+    )]
+    ExchangedPoints {
+        /// Where they are on the target.
+        places_mm: [[f64; 3]; 2],
     },
     /// No pose fits.
     #[error("no position of the target fits the points of a view: are they assigned to the right corners and views?")]

@@ -11,7 +11,7 @@
 //! Cannot detect: a target whose true dimensions differ from the table by a scale factor.
 
 use super::error::RigCalibrationError;
-use super::initial::{Image, Initial, SortedPicture, Unusable, mirror_between, mirrors_alike};
+use super::initial::{Image, Initial, SAME_MIRROR_RAD, SortedPicture, Unusable, mirror_between, mirrors_alike};
 use crate::calibrate::bundle::pose::{TargetShape, by_pose, seen_pose, turned};
 use crate::csv_lines::Lines;
 use crate::optics::Lens;
@@ -26,6 +26,9 @@ const MIN_POINTS: usize = 4;
 const LEFT_HANDED: (f64, usize) = (1.5, 60);
 /// Steps from OpenCV's pose to the best one.
 const REFINEMENTS: usize = 8;
+/// Two points are exchanged if the squares of their view's residuals are this many times those with both in each other's
+/// places. Water alone bends what a pose in air cannot follow, but by little beside the distance of two points.
+const EXCHANGED: f64 = 4.0;
 /// A target counts as flat if its points are this close to its plane, as a fraction of its size.
 const FLATNESS: f64 = 1e-6;
 const M_PER_MM: f64 = 1e-3;
@@ -69,6 +72,9 @@ pub enum PointsError {
     },
 }
 
+/// A picture, and where its points place a mirror: normal, offset in metres.
+type MirrorIn = (usize, (Vector3<f64>, f64));
+
 /// A point in a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Marked {
@@ -92,6 +98,8 @@ pub struct Points {
     pictures: Vec<PointsPicture>,
     /// All points of the target, with their centre at the origin, metres.
     places: Vec<Point3<f64>>,
+    /// Their centre in the target's own frame, metres.
+    middle: Vector3<f64>,
     /// Mean of the given σ, pixels.
     given_sd_px: Option<f64>,
 }
@@ -179,7 +187,7 @@ impl Points {
             there.push(marked);
             sds.push(relative_sd);
         }
-        let mut points = Self { pictures, places: Vec::new(), given_sd_px: None };
+        let mut points = Self { pictures, places: Vec::new(), middle: Vector3::zeros(), given_sd_px: None };
         let mean = sds.iter().sum::<f64>() / sds.len().max(1) as f64;
         points.given_sd_px = sd.map(|_| mean);
         points.centre(mean);
@@ -197,6 +205,7 @@ impl Points {
         }
         let middle = places.iter().map(|p| p.coords).sum::<Vector3<f64>>() / places.len().max(1) as f64;
         self.places = places.into_iter().map(|p| p - middle).collect();
+        self.middle = middle;
         for marked in self.pictures.iter_mut().flat_map(|p| p.views.iter_mut().flatten()) {
             marked.place -= middle;
             marked.relative_sd /= mean_sd;
@@ -237,7 +246,7 @@ impl Points {
         let mut handed = Handedness::default();
         let mut pictures = Vec::new();
         let views = self.pictures.iter().map(|p| p.views.len()).max().unwrap_or(1);
-        let mut planes: Vec<Vec<(Vector3<f64>, f64)>> = vec![Vec::new(); views - 1];
+        let mut planes: Vec<Vec<MirrorIn>> = vec![Vec::new(); views - 1];
         for (picture, own) in self.pictures.iter().enumerate() {
             let here = match own.views.first().map(|direct| self.pose(lens, direct, 1.0)).transpose()? {
                 Some(Ok(here)) => here,
@@ -249,6 +258,10 @@ impl Points {
             };
             let direct = &own.views[0];
             self.compare(&mut handed, lens, direct, (&here, 1.0))?;
+            if let Some(why) = self.exchanged(lens, direct, (here, 1.0)) {
+                left_out.push((picture, why));
+                continue;
+            }
             let mut sorted = SortedPicture { picture, views: vec![None; views] };
             let mut unusable = Unusable::Once;
             for (view, marked) in own.views.iter().enumerate().skip(1).filter(|(_, marked)| !marked.is_empty()) {
@@ -261,11 +274,15 @@ impl Points {
                     }
                 };
                 self.compare(&mut handed, lens, marked, (&there, -1.0))?;
+                if let Some(why) = self.exchanged(lens, marked, (there, -1.0)) {
+                    unusable = why;
+                    continue;
+                }
                 let folded = |p: &Point3<f64>| Point3::new(p.x, p.y, -p.z);
                 let pairs = self.places.iter().map(|p| (here * p, there * folded(p)));
                 let (_, normal, offset_m) = mirror_between(pairs);
-                if let Some(plane) = planes.get_mut(view - 1) {
-                    plane.push((normal, offset_m));
+                if let Some(own) = planes.get_mut(view - 1) {
+                    own.push((picture, (normal, offset_m)));
                 }
                 sorted.views[view] = Some(image(marked, there));
             }
@@ -279,7 +296,15 @@ impl Points {
         if handed.values >= LEFT_HANDED.1 && handed.as_given > LEFT_HANDED.0 * handed.mirrored {
             return Err(RigCalibrationError::LeftHanded);
         }
-        let mirrors = planes.iter().filter(|own| !own.is_empty()).map(|own| mirrors_alike(own)).collect();
+        for (own, mirror) in planes.iter_mut().zip(view_names(views - 1).into_iter().skip(1)) {
+            for picture in facing_back(own) {
+                own.retain(|(other, _)| *other != picture);
+                pictures.retain(|sorted| sorted.picture != picture);
+                left_out.push((picture, Unusable::Exchanged { mirror: mirror.clone() }));
+            }
+        }
+        let planes = planes.iter().map(|own| own.iter().map(|(_, plane)| *plane).collect::<Vec<_>>());
+        let mirrors = planes.filter(|own| !own.is_empty()).map(|own| mirrors_alike(&own)).collect();
         Ok(Initial { mirrors, pictures, left_out })
     }
 
@@ -295,6 +320,12 @@ impl Points {
         let points: Vec<_> = marked.iter().map(point).collect();
         let shape = if self.is_flat() { TargetShape::Flat } else { TargetShape::Solid };
         Ok(seen_pose(lens, &points, shape)?.ok_or(Unusable::NoPose))
+    }
+
+    /// Which two points of a view with this pose and `depth` fit much better in each other's place, if any do.
+    fn exchanged(&self, lens: &Lens, marked: &[Marked], seen: (Isometry3<f64>, f64)) -> Option<Unusable> {
+        let in_table_mm = |place: Point3<f64>| ((place.coords + self.middle) / M_PER_MM).into();
+        exchanged(lens, marked, seen).map(|two| Unusable::ExchangedPoints { places_mm: two.map(in_table_mm) })
     }
 
     /// Adds how a view fits the target as given, with its pose and `depth`, and mirrored.
@@ -342,6 +373,35 @@ fn squares(lens: &Lens, marked: &[Marked], (mut pose, depth): (Isometry3<f64>, f
         pose = turned(&pose, &step);
     }
     sum
+}
+
+/// The pictures in which a mirror stands as in most others, but faces the other way: what they call direct is the mirror
+/// image.
+fn facing_back(mirrors: &[MirrorIn]) -> Vec<usize> {
+    let normals = || mirrors.iter().map(|(_, (normal, _))| *normal);
+    let alike = |normal: &Vector3<f64>| normals().filter(|other| other.angle(normal) < SAME_MIRROR_RAD).count();
+    let Some(usual) = normals().max_by_key(alike) else { return Vec::new() };
+    let faces_back = |normal: &Vector3<f64>| normal.angle(&-usual) < SAME_MIRROR_RAD;
+    mirrors.iter().filter(|(_, (normal, _))| faces_back(normal)).map(|(picture, _)| *picture).collect()
+}
+
+/// The places of two points of a view that fit much better in each other's place, if there are two.
+fn exchanged(lens: &Lens, marked: &[Marked], (pose, depth): (Isometry3<f64>, f64)) -> Option<[Point3<f64>; 2]> {
+    let off = |own: &Marked, other: &Marked| {
+        let q = pose * Point3::new(other.place.x, other.place.y, depth * other.place.z);
+        Some((lens.undistort(&own.pixel)? - q.xy() / q.z).norm_squared())
+    };
+    let gain = |i: usize, k: usize| {
+        let (a, b) = (&marked[i], &marked[k]);
+        Some(off(a, a)? + off(b, b)? - off(a, b)? - off(b, a)?)
+    };
+    let pairs = (0..marked.len()).flat_map(|i| (0..i).map(move |k| (i, k)));
+    let gains = pairs.filter_map(|(i, k)| Some((gain(i, k)?, i, k))).filter(|(gain, ..)| *gain > 0.0);
+    let (_, i, k) = gains.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let mut turned_round = marked.to_vec();
+    (turned_round[i].place, turned_round[k].place) = (marked[k].place, marked[i].place);
+    let is = |marked: &[Marked]| squares(lens, marked, (pose, depth));
+    (is(marked) > EXCHANGED * is(&turned_round)).then_some([marked[k].place, marked[i].place])
 }
 
 /// How well all views fit the target: sums of squares, and the number of coordinates in them.
