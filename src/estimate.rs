@@ -223,7 +223,7 @@ pub enum Miss {
     },
     /// The part of the picture that the tracker needs was not recorded.
     NotRecorded,
-    /// The picture is damaged, or was predicted from one that is.
+    /// The picture is damaged, was predicted from one that is, or is torn.
     Damaged,
     /// The coder quantised the picture around the band too coarsely to locate it.
     TooCoarse,

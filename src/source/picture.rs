@@ -118,9 +118,9 @@ pub struct Plane<'a> {
     pub offset: [f64; 2],
 }
 
-impl Plane<'_> {
+impl<'a> Plane<'a> {
     /// The bytes of row `j` (`None` outside), sample (0, j) first.
-    pub fn row(&self, j: usize) -> Option<&[u8]> {
+    pub fn row(&self, j: usize) -> Option<&'a [u8]> {
         if j >= self.height {
             return None;
         }

@@ -153,6 +153,41 @@ fn a_picture_shown_again_is_not_answered_and_what_follows_it_is() {
     }
 }
 
+/// Rows from the coil's middle on, or up to it, that are those of the picture before, or of an earlier one.
+#[test]
+fn a_torn_picture_is_not_answered_and_what_follows_it_is() {
+    const TORN: [usize; 3] = [17, 24, 33];
+    let noise = std::cell::RefCell::new(fastrand::Rng::with_seed(3));
+    let whole = frames(FIRST, COUNT, |picture| noisy(picture, &mut noise.borrow_mut()));
+    let (truth, _) = tracked(&whole);
+    for (age, below) in [(1, true), (1, false), (4, true)] {
+        let again = |frame: &Frame| {
+            let Frame { seq, stamp, gap, host, picture } = frame;
+            Frame { seq: *seq, stamp: *stamp, gap: *gap, host: *host, picture: composed(picture, picture, 0) }
+        };
+        let mut frames: Vec<Frame> = whole.iter().map(again).collect();
+        for k in TORN {
+            let tear = truth[k].markers[1].views[0].as_ref().unwrap().centre_px.y;
+            let (new, old) = (&whole[k].picture, &whole[k - age].picture);
+            frames[k].picture = with_rows(new, |i, j| {
+                let plane = new.plane(i).unwrap();
+                let is_below = (j as u32 * plane.scale[1]) as f64 > tear;
+                let shown = if is_below == below { old } else { new };
+                shown.plane(i).unwrap().row(j).unwrap()[..plane.width].to_vec()
+            });
+        }
+        let (estimates, _) = tracked(&frames);
+        for (k, estimate) in estimates.iter().enumerate() {
+            let expected = if TORN.contains(&k) { "damaged".to_owned() } else { word(&truth[k]) };
+            assert_eq!(word(estimate), expected, "frame {k}, {age} before, below: {below}");
+        }
+        let (square, count) = mean_square(&truth, &estimates, 1..3);
+        assert!(square < 0.1 && count > COUNT, "{square} {count}");
+        let told = warnings(&frames);
+        assert!(told.len() == 1 && told[0].contains("it is torn"), "{told:?}");
+    }
+}
+
 /// All warnings about some frames.
 fn warnings(frames: &[Frame]) -> Vec<String> {
     let mut tracker = Tracker::new(&rig(), TrackOptions::default()).unwrap();

@@ -34,6 +34,14 @@ impl Found {
         (0..self.assigned.len()).flat_map(|marker| self.windows_of(marker)).collect()
     }
 
+    /// Each band that was found: its marker, its view and the blob.
+    pub(in crate::track) fn bands(&self) -> impl Iterator<Item = (usize, usize, &Blob)> {
+        self.assigned.iter().enumerate().flat_map(move |(marker, assigned)| {
+            let blobs = assigned.iter().flat_map(|assigned| assigned.blobs.iter().enumerate());
+            blobs.filter_map(move |(view, blob)| Some((marker, view, self.blobs.get((*blob)?)?)))
+        })
+    }
+
     /// Around one marker's band, if it was found, in each view that shows it.
     pub(in crate::track) fn windows_of(&self, marker: usize) -> impl Iterator<Item = Window> {
         let blobs =

@@ -14,3 +14,4 @@ pub(crate) mod misfit_curve;
 pub(super) mod paired_chroma;
 pub(super) mod picture_order;
 pub(super) mod repeated_pictures;
+pub(super) mod torn_pictures;

@@ -20,7 +20,7 @@
 //! rest, and what repeats the first two pictures of a run.
 
 use crate::estimate::{Estimate, Miss, Position};
-use crate::source::{Picture, Timestamp, Window};
+use crate::source::{Picture, Plane, Timestamp, Window};
 use crate::track::judge::Place;
 use nalgebra::Vector3;
 
@@ -188,9 +188,14 @@ impl Repeats {
     /// Whether a picture, `predicted` from others or not, shows again what the last one showed, and cannot be of its
     /// own time.
     pub(in crate::track) fn is_repeated(&self, picture: &Picture, stamp: Timestamp, predicted: bool) -> bool {
-        let is_known = |last: &&Shown| last.moving || self.fresh >= FRESH;
+        let is_known = |last: &&Shown| last.moving || self.noise_is_new();
         let Some(last) = self.last.as_ref().filter(is_known) else { return false };
         (!predicted || is_recent(stamp, last.stamp)) && self.shows_again(picture)
+    }
+
+    /// Whether noise was new in each of the last pictures, where a band always rests.
+    pub(in crate::track) fn noise_is_new(&self) -> bool {
+        self.fresh >= FRESH
     }
 
     /// Whether a picture is equal to the last one, to the last bit, wherever a band was.
@@ -279,7 +284,7 @@ impl Repeats {
 }
 
 /// Whether a catheter can hardly have come to rest since then. (A clock may be set back.)
-fn is_recent(now: Timestamp, then: Timestamp) -> bool {
+pub(super) fn is_recent(now: Timestamp, then: Timestamp) -> bool {
     (0.0..AT_REST_S).contains(&now.seconds_since(then))
 }
 
@@ -287,6 +292,17 @@ fn is_recent(now: Timestamp, then: Timestamp) -> bool {
 fn places(estimate: &Estimate) -> impl Iterator<Item = Option<Place>> {
     let place = |position: &Position| Place::of(position, estimate.stamp);
     estimate.markers.iter().map(move |marker| marker.position.as_ref().ok().map(place))
+}
+
+/// The bytes of each row of a plane in a window; `None` outside of the plane.
+pub(super) fn rows<'a>(plane: &Plane<'a>, window: Window) -> impl ExactSizeIterator<Item = Option<&'a [u8]>> + use<'a> {
+    let [across, down] = plane.scale;
+    let [first, end] = [window.x0 / across, window.x1.div_ceil(across)].map(|column| column as usize * plane.step);
+    let plane = *plane;
+    (window.y0 / down..window.y1.div_ceil(down)).map(move |row| {
+        let row = plane.row(row as usize)?;
+        row.get(first..end.min(row.len()))
+    })
 }
 
 /// Of the samples in some windows of a picture; `None` when there are none, or not all were recorded.
@@ -299,12 +315,8 @@ fn checksum(picture: &Picture, windows: &[Window]) -> Option<u32> {
         picture.declare_read(*window).ok()?;
         for channel in 0..picture.format().channels() {
             let plane = picture.plane(channel)?;
-            let [across, down] = plane.scale;
-            let columns = (window.x0 / across) as usize..window.x1.div_ceil(across) as usize;
-            for row in window.y0 / down..window.y1.div_ceil(down) {
-                let row = plane.row(row as usize)?;
-                let end = (columns.end * plane.step).min(row.len());
-                sum.update(row.get(columns.start * plane.step..end)?);
+            for row in rows(&plane, *window) {
+                sum.update(row?);
             }
         }
     }

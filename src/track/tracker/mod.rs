@@ -39,10 +39,11 @@ use crate::track::recording::long_exposure::LongExposure;
 use crate::track::recording::paired_chroma::Pairs;
 use crate::track::recording::picture_order::Order;
 use crate::track::recording::repeated_pictures::Repeats;
+use crate::track::recording::torn_pictures::Torn;
 use nalgebra::Vector2;
 use warnings::{
     BLENDED, COLOURS_LAG, COPIED, DENOISED, FOREIGN, FRINGES, LAMP_CHANGED, LONG_EXPOSURE, LOOKS_OTHERWISE, MOVED,
-    OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, STALLED, SWINGS, UNLIKE_TAUGHT, UNSTEADY,
+    OTHER_TUBE, OUT_OF_FOCUS, OUT_OF_ORDER, PAIRED_CHROMA, SHAKES, STALLED, SWINGS, TORN, UNLIKE_TAUGHT, UNSTEADY,
     VIEWS_DISAGREE, WOVEN,
 };
 
@@ -111,6 +112,7 @@ pub struct Tracker {
     shake: Shake,
     moved: Moved,
     repeats: Repeats,
+    torn: Torn,
     pairs: Pairs,
     blocks: Blocks,
     copied: Copied,
@@ -161,6 +163,7 @@ impl Tracker {
             shake: Shake::default(),
             moved: Moved::default(),
             repeats: Repeats::default(),
+            torn: Torn::default(),
             pairs: Pairs::default(),
             blocks: Blocks::default(),
             copied: Copied::default(),
@@ -218,8 +221,12 @@ impl Tracker {
         if picture.is_interlaced() {
             return Ok((missed(&Miss::Interlaced), None));
         }
-        if self.repeats.is_repeated(picture, frame.stamp, self.model.is_predicted(picture)) {
+        let predicted = self.model.is_predicted(picture);
+        if self.repeats.is_repeated(picture, frame.stamp, predicted) {
             return Ok((missed(&Miss::Repeated), None));
+        }
+        if !predicted && self.torn.is_torn(picture, frame.stamp, self.repeats.noise_is_new()) {
+            return Ok((missed(&Miss::Damaged), None));
         }
         let tick = self.lamp.as_mut().and_then(|lamp| lamp.step(picture));
         let (estimate, measured) = self.measure_bands(frame)?;
@@ -297,6 +304,7 @@ impl Tracker {
         // Before σ is widened: pictures that repeat scatter.
         let at_rest = if self.base_is_held() { found.windows_of(0).count() } else { 0 };
         self.repeats.remember(picture, found.windows(), at_rest, &estimate);
+        self.torn.remember(picture, &found, &estimate);
         self.widen(&mut estimate, self.model.is_predicted(picture));
         if let Some(rolling) = &mut self.rolling {
             rolling.correct(&self.rig, &mut estimate);
@@ -336,6 +344,7 @@ impl Tracker {
             (self.exposure.is_seen(), LONG_EXPOSURE),
             (self.lamp.as_ref().is_some_and(Lamp::has_changed), LAMP_CHANGED),
             (stalled.is_some(), STALLED),
+            (self.torn.is_seen(), TORN),
             (diameter.is_some(), OTHER_TUBE),
         ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;

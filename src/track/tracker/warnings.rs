@@ -70,3 +70,6 @@ pub(super) const OTHER_TUBE: &str = "; measure the tube, and teach the bands wit
 pub(super) const STALLED: &str = ": bands that moved stood there, and then jumped further than any motion: rows of \
      such frames are wrong, and σ does not cover that; only the first such place is named: leave these frames out, and \
      look at what the camera or the recorder did";
+pub(super) const TORN: &str = "a part of the picture is that of an earlier one, to the last bit: it is torn, as when a \
+     transfer ends early or a picture is copied while the next is drawn; frames in which bands tell are refused as \
+     damaged, and others may be torn where none does: look at the camera's transfer, its buffers and its rate";
