@@ -8,8 +8,8 @@
 //! moves, all must be the same. The picture that is wholly the one before is [`super::repeated_pictures`]'.
 //!
 //! A coder may leave rows as they were although something moves there by a few pixels. It keeps many more where nothing
-//! moves. So where rows are often the same, only a band that moved far tells; and a part of a band, or one that hardly
-//! moved, only where noise is known to be new in every picture.
+//! moves. So where rows are often the same, they tell nothing; and a part of a band, or one that hardly moved, tells only
+//! where noise is known to be new in every picture.
 //!
 //! Cannot detect: rows that were coded again, with losses; old rows in most pictures, or a part that is old in every
 //! picture (it never shows the same twice).
@@ -25,7 +25,7 @@ use std::collections::VecDeque;
 const KEPT: usize = 8;
 /// How far a band that is there again has moved, pixels.
 const MOVED_PX: f64 = 1.0;
-/// One that has moved as far cannot be there again at all, whatever a coder does.
+/// One that has moved as far is enough: it is not a coder that is late.
 const FAR_PX: f64 = 5.0;
 /// Rows that are not the same again by chance, one after the other, and which part of a band's they must be.
 const ROWS: usize = 4;
@@ -124,18 +124,16 @@ impl Again {
         again
     }
 
-    /// Whether they cannot be after such a motion, where rows are hardly ever the same (`few_are`), and none is by chance
-    /// (`noise_is_new`).
-    fn are_old(&self, moved: Moved, few_are: bool, noise_is_new: bool) -> bool {
-        let (all, part) = (self.of > 0 && self.count == self.of, few_are && noise_is_new);
+    /// Whether they cannot be after such a motion, where rows are hardly ever the same. `noise_is_new`: none is by chance.
+    fn are_old(&self, moved: Moved, noise_is_new: bool) -> bool {
+        let all = self.of > 0 && self.count == self.of;
         let rows = match moved {
-            Moved::Far if all => return true,
-            Moved::Hardly => return all && part,
-            _ if all => return few_are,
+            Moved::Hardly => return all && noise_is_new,
+            _ if all => return true,
             Moved::AlongItself => self.first.max(self.last),
             Moved::Sideways | Moved::Far => self.longest,
         };
-        part && rows >= ROWS && rows as f64 >= PART * self.of as f64
+        noise_is_new && rows >= ROWS && rows as f64 >= PART * self.of as f64
     }
 }
 
@@ -144,7 +142,7 @@ impl Torn {
     /// in every picture.
     pub(in crate::track) fn is_torn(&mut self, picture: &Picture, stamp: Timestamp, noise_is_new: bool) -> bool {
         let mut same = self.same;
-        let few_are = (same[0] as f64) < USUAL * same[1] as f64;
+        let is_rare = (same[0] as f64) < USUAL * same[1] as f64;
         let is_recent = |shown: &Shown| shown.stamp.is_some_and(|then| is_recent(stamp, then));
         let recent = self.kept.iter().enumerate().filter(|(_, shown)| is_recent(shown));
         let bands = recent.flat_map(|(age, shown)| shown.bands.iter().map(move |band| (age, shown, band)));
@@ -162,7 +160,7 @@ impl Torn {
                 same = [same[0] + again.count, same[1] + again.of];
             }
             // Where it was not recorded, nothing was the same.
-            if again.are_old(moved, few_are, noise_is_new) && picture.declare_read(band.window).is_ok() {
+            if is_rare && again.are_old(moved, noise_is_new) && picture.declare_read(band.window).is_ok() {
                 old += 1;
                 is_sure |= moved == Moved::Far && again.count == again.of;
             }
@@ -216,22 +214,15 @@ mod tests {
         assert_eq!(counts("===="), [4, 4, 4, 4, 4]);
         assert_eq!(counts(""), [0; 5]);
         let all = [Moved::Hardly, Moved::AlongItself, Moved::Sideways, Moved::Far];
-        let are_old = |rows, few_are, noise_is_new| all.map(|moved| again(rows).are_old(moved, few_are, noise_is_new));
-        assert_eq!(are_old("========", true, true), [true; 4]);
-        assert_eq!(are_old("========", true, false), [false, true, true, true]);
-        assert_eq!(are_old("========", false, true), [false, false, false, true], "a coder keeps rows");
-        assert_eq!(are_old("====....", true, true), [false, true, true, true]);
-        assert_eq!(are_old("...====..", true, true), [false, false, true, true]);
-        assert_eq!(are_old("===.====", true, true), [false, true, true, true]);
-        for (rows, few_are, noise_is_new) in [
-            ("===.===", true, true),
-            ("====.......", true, true),
-            ("", true, true),
-            ("====....", true, false),
-            ("====....", false, true),
-        ] {
-            assert_eq!(are_old(rows, few_are, noise_is_new), [false; 4], "{rows}");
+        let are_old = |rows, noise_is_new| all.map(|moved| again(rows).are_old(moved, noise_is_new));
+        assert_eq!(are_old("========", true), [true; 4]);
+        assert_eq!(are_old("========", false), [false, true, true, true]);
+        assert_eq!(are_old("====....", true), [false, true, true, true]);
+        assert_eq!(are_old("...====..", true), [false, false, true, true]);
+        assert_eq!(are_old("===.====", true), [false, true, true, true]);
+        for (rows, noise_is_new) in [("===.===", true), ("====.......", true), ("", true), ("====....", false)] {
+            assert_eq!(are_old(rows, noise_is_new), [false; 4], "{rows}");
         }
-        assert_eq!(are_old("==", true, true), [true; 4], "a band of two rows");
+        assert_eq!(are_old("==", true), [true; 4], "a band of two rows");
     }
 }
