@@ -19,7 +19,7 @@ use nalgebra::{Isometry3, Point2, Point3, Vector3};
 /// RMS): unmodelled refraction bends them; a wrong order of corners gives far more.
 const PARALLEL: f64 = 0.2;
 /// Planes whose normals differ by more than this are different mirrors.
-pub(super) const SAME_MIRROR_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
+const SAME_MIRROR_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 
 /// Positions of corners on the board and in the picture.
 type Corners = Vec<(Point3<f64>, Point2<f64>)>;
@@ -93,8 +93,8 @@ pub(crate) enum Unusable {
     },
     /// The mirror's points are those of the direct view, and the reverse.
     #[error(
-        "its points of the views direct and {mirror} place the mirror as those of other pictures do, but facing the other \
-         way: are the two views exchanged?"
+        "its points of the views direct and {mirror} place the mirror as those of other pictures do, but facing the \
+         other way: are the two views exchanged?"
     )]
     Exchanged {
         /// Name of the mirror's view.
@@ -293,14 +293,23 @@ pub(super) fn mirror_between(pairs: impl Iterator<Item = (Point3<f64>, Point3<f6
     (aside.sqrt() / mean.norm(), normal, normal.dot(&middle))
 }
 
+/// Whether two normals are those of one mirror.
+pub(super) fn is_same_mirror(a: &Vector3<f64>, b: &Vector3<f64>) -> bool {
+    a.angle(b) < SAME_MIRROR_RAD
+}
+
+/// The normal of the most frequent mirror.
+pub(super) fn usual_normal(normals: impl Iterator<Item = Vector3<f64>> + Clone) -> Option<Vector3<f64>> {
+    normals.clone().max_by_key(|normal| normals.clone().filter(|other| is_same_mirror(normal, other)).count())
+}
+
 /// The reflections in each of the most frequent mirrors, at most `mirrors`, from left to right in the picture.
 fn group(reflections: &[Reflection], mirrors: usize) -> Vec<Vec<&Reflection>> {
     let mut left: Vec<&Reflection> = reflections.iter().collect();
     let mut groups: Vec<Vec<&Reflection>> = Vec::new();
     while groups.len() < mirrors {
-        let alike = |a: &Reflection| left.iter().filter(|b| a.normal.angle(&b.normal) < SAME_MIRROR_RAD).count();
-        let Some(seed) = left.iter().copied().max_by_key(|r| alike(r)) else { break };
-        let (own, others) = left.into_iter().partition(|r| r.normal.angle(&seed.normal) < SAME_MIRROR_RAD);
+        let Some(usual) = usual_normal(left.iter().map(|r| r.normal)) else { break };
+        let (own, others) = left.into_iter().partition(|r| is_same_mirror(&r.normal, &usual));
         groups.push(own);
         left = others;
     }

@@ -11,7 +11,9 @@
 //! Cannot detect: a target whose true dimensions differ from the table by a scale factor.
 
 use super::error::RigCalibrationError;
-use super::initial::{Image, Initial, SAME_MIRROR_RAD, SortedPicture, Unusable, mirror_between, mirrors_alike};
+use super::initial::{
+    Image, Initial, SortedPicture, Unusable, is_same_mirror, mirror_between, mirrors_alike, usual_normal,
+};
 use crate::calibrate::bundle::pose::{TargetShape, by_pose, seen_pose, turned};
 use crate::csv_lines::Lines;
 use crate::optics::Lens;
@@ -26,8 +28,8 @@ const MIN_POINTS: usize = 4;
 const LEFT_HANDED: (f64, usize) = (1.5, 60);
 /// Steps from OpenCV's pose to the best one.
 const REFINEMENTS: usize = 8;
-/// Two points are exchanged if the squares of their view's residuals are this many times those with both in each other's
-/// places. Water alone bends what a pose in air cannot follow, but by little beside the distance of two points.
+/// Two points are exchanged if the squares of their view's residuals are this many times those with both in each
+/// other's places. Water alone bends what a pose in air cannot follow, but by little beside the distance of two points.
 const EXCHANGED: f64 = 4.0;
 /// A target counts as flat if its points are this close to its plane, as a fraction of its size.
 const FLATNESS: f64 = 1e-6;
@@ -375,14 +377,12 @@ fn squares(lens: &Lens, marked: &[Marked], (mut pose, depth): (Isometry3<f64>, f
     sum
 }
 
-/// The pictures in which a mirror stands as in most others, but faces the other way: what they call direct is the mirror
-/// image.
+/// The pictures in which a mirror stands as in most others, but faces the other way: what they call direct is the
+/// mirror image.
 fn facing_back(mirrors: &[MirrorIn]) -> Vec<usize> {
-    let normals = || mirrors.iter().map(|(_, (normal, _))| *normal);
-    let alike = |normal: &Vector3<f64>| normals().filter(|other| other.angle(normal) < SAME_MIRROR_RAD).count();
-    let Some(usual) = normals().max_by_key(alike) else { return Vec::new() };
-    let faces_back = |normal: &Vector3<f64>| normal.angle(&-usual) < SAME_MIRROR_RAD;
-    mirrors.iter().filter(|(_, (normal, _))| faces_back(normal)).map(|(picture, _)| *picture).collect()
+    let Some(usual) = usual_normal(mirrors.iter().map(|(_, (normal, _))| *normal)) else { return Vec::new() };
+    let back = mirrors.iter().filter(|(_, (normal, _))| is_same_mirror(normal, &-usual));
+    back.map(|(picture, _)| *picture).collect()
 }
 
 /// The places of two points of a view that fit much better in each other's place, if there are two.

@@ -31,7 +31,7 @@ pub(in crate::track) struct Found {
 impl Found {
     /// Around each band that was found, in each view.
     pub(in crate::track) fn windows(&self) -> Vec<Window> {
-        (0..self.assigned.len()).flat_map(|marker| self.windows_of(marker)).collect()
+        self.bands().map(|(.., blob)| blob.bounds).collect()
     }
 
     /// Each band that was found: its marker, its view and the blob.
@@ -44,9 +44,7 @@ impl Found {
 
     /// Around one marker's band, if it was found, in each view that shows it.
     pub(in crate::track) fn windows_of(&self, marker: usize) -> impl Iterator<Item = Window> {
-        let blobs =
-            self.assigned.get(marker).into_iter().flatten().flat_map(|assigned| assigned.blobs.iter().flatten());
-        blobs.map(|blob| self.blobs[*blob].bounds)
+        self.bands().filter(move |(own, ..)| *own == marker).map(|(.., blob)| blob.bounds)
     }
 
     /// Whether all markers are there.

@@ -2,14 +2,14 @@
 //! ends early in a buffer that is used again, or a picture is copied while the next is drawn. Its rows above and below
 //! the tear are of different moments.
 //!
-//! In: the bands of the last pictures, and what these showed there. Out: whether a picture shows one of them again, to the
-//! last bit. A band that has moved sideways by a pixel since, or did just before, cannot have the same rows again. Of one
-//! that moves along itself, those in its middle may be alike, but not its first and last ones. Of one that hardly
-//! moves, all must be the same. The picture that is wholly the one before is [`super::repeated_pictures`]'.
+//! In: the bands of the last pictures, and what these showed there. Out: whether a picture shows one of them again, to
+//! the last bit. A band that has moved sideways by a pixel since, or did just before, cannot have the same rows again.
+//! Of one that moves along itself, those in its middle may be alike, but not its first and last ones. Of one that
+//! hardly moves, all must be the same. The picture that is wholly the one before is [`super::repeated_pictures`]'.
 //!
 //! A coder may leave rows as they were although something moves there by a few pixels. It keeps many more where nothing
-//! moves. So where rows are often the same, they tell nothing; and a part of a band, or one that hardly moved, tells only
-//! where noise is known to be new in every picture.
+//! moves. So where rows are often the same, they tell nothing; and a part of a band, or one that hardly moved, tells
+//! only where noise is known to be new in every picture.
 //!
 //! Cannot detect: rows that were coded again, with losses; old rows in most pictures, or a part that is old in every
 //! picture (it never shows the same twice).
@@ -124,7 +124,8 @@ impl Again {
         again
     }
 
-    /// Whether they cannot be after such a motion, where rows are hardly ever the same. `noise_is_new`: none is by chance.
+    /// Whether they cannot be after such a motion, where rows are hardly ever the same. `noise_is_new`: none is by
+    /// chance.
     fn are_old(&self, moved: Moved, noise_is_new: bool) -> bool {
         let all = self.of > 0 && self.count == self.of;
         let rows = match moved {
@@ -138,13 +139,15 @@ impl Again {
 }
 
 impl Torn {
-    /// Whether a picture, which is not wholly the one before, still shows a band where an earlier one did. `noise_is_new`:
-    /// in every picture.
+    /// Whether a picture, which is not wholly the one before, still shows a band where an earlier one did.
+    /// `noise_is_new`: in every picture.
     pub(in crate::track) fn is_torn(&mut self, picture: &Picture, stamp: Timestamp, noise_is_new: bool) -> bool {
         let mut same = self.same;
         let is_rare = (same[0] as f64) < USUAL * same[1] as f64;
         let is_recent = |shown: &Shown| shown.stamp.is_some_and(|then| is_recent(stamp, then));
-        let recent = self.kept.iter().enumerate().filter(|(_, shown)| is_recent(shown));
+        // Where rows tell nothing, they are only counted.
+        let compared = if is_rare { KEPT } else { 1 };
+        let recent = self.kept.iter().take(compared).enumerate().filter(|(_, shown)| is_recent(shown));
         let bands = recent.flat_map(|(age, shown)| shown.bands.iter().map(move |band| (age, shown, band)));
         let (mut old, mut is_sure) = (0, false);
         for (age, shown, band) in bands {
