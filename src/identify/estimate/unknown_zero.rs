@@ -90,7 +90,7 @@ fn parts(segments: &[Columns]) -> BTreeMap<usize, (DMatrix<f64>, DMatrix<f64>)> 
 pub(super) fn zero(
     parameters: &[f64],
     covariance: &Covariance,
-    residual: impl Fn(&[f64]) -> Option<Vec<Columns>>,
+    residual: impl Fn(&[f64]) -> Option<Vec<Columns>> + Sync,
     (colour, noise_variance): (&Colour, f64),
 ) -> Option<Zero> {
     let nearest = |p: &[f64]| parts(&residual(p)?).into_values().next();

@@ -5,6 +5,7 @@
 //! them the accuracy of the response where the data determine it best.
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 /// Step along each direction for numerical derivatives, in standard deviations.
 const STEP: f64 = 0.05;
@@ -44,24 +45,30 @@ impl Covariance {
     /// Covariance of `of(parameters)`, to first order, if `self` is that of `parameters`. They are moved jointly, along
     /// the columns of the factor: a single coefficient of a high order moved alone would give a completely different
     /// model. `None` when `of` fails, or returns varying numbers of values.
-    pub fn propagate(&self, parameters: &[f64], of: impl Fn(&[f64]) -> Option<Vec<f64>>) -> Option<Self> {
+    pub fn propagate(&self, parameters: &[f64], of: impl Fn(&[f64]) -> Option<Vec<f64>> + Sync) -> Option<Self> {
         let values = of(parameters)?.len();
-        let mut factor = DMatrix::zeros(values, self.factor.ncols());
-        for (mut column, direction) in factor.column_iter_mut().zip(self.factor.column_iter()) {
+        let along = |k: usize| {
+            let direction = self.factor.column(k);
             let moved = |by: f64| {
                 let moved: Vec<f64> = parameters.iter().zip(direction.iter()).map(|(p, d)| p + by * d).collect();
                 of(&moved).filter(|v| v.len() == values)
             };
             let (plus, minus) = (moved(STEP)?, moved(-STEP)?);
-            column.iter_mut().zip(plus.iter().zip(&minus)).for_each(|(c, (p, m))| *c = (p - m) / (2.0 * STEP));
-        }
+            Some(plus.iter().zip(&minus).map(|(p, m)| (p - m) / (2.0 * STEP)).collect())
+        };
+        let columns: Option<Vec<Vec<f64>>> = (0..self.factor.ncols()).into_par_iter().map(along).collect();
+        let factor = DMatrix::from_vec(values, self.factor.ncols(), columns?.concat());
         factor.iter().all(|v| v.is_finite()).then_some(Self { factor })
     }
 
     /// The 95 % interval of `of(parameters)`: its values 1.96 σ away on either side, along the direction in which it
     /// changes most. That follows its curvature, as a profile of the likelihood does (Pawitan, In All Likelihood,
     /// section 3.4), to the accuracy of the direction. `None` when `of` has no value there: the interval is open.
-    pub(super) fn interval_95(&self, parameters: &[f64], of: impl Fn(&[f64]) -> Option<f64>) -> Option<(f64, f64)> {
+    pub(super) fn interval_95(
+        &self,
+        parameters: &[f64],
+        of: impl Fn(&[f64]) -> Option<f64> + Sync,
+    ) -> Option<(f64, f64)> {
         let gradient = self.propagate(parameters, |p| of(p).map(|value| vec![value]))?.factor;
         let direction = &self.factor * gradient.transpose() / gradient.norm();
         let at = |by: f64| {
