@@ -19,6 +19,8 @@ use crate::identify::data::spectrum::{Spectrum, spectrum};
 use crate::identify::estimate::between_samples::{self, Answer, MAX_PASSES, is_settled};
 use crate::identify::estimate::estimated::{Estimated, Refined};
 use crate::identify::estimate::output_error;
+use crate::identify::estimate::search::{Candidate, Criterion};
+use crate::identify::model::continuous::Continuous;
 use crate::identify::model::modelled::{Modelled, Role, bandwidths};
 use crate::identify::model::polynomials::{Noise, Orders, Polynomials, angle};
 use crate::identify::model::reproduction::{InitialState, Kind, compare};
@@ -66,26 +68,91 @@ pub(crate) fn identify_with_progress(
 /// # Errors
 /// Those of the first.
 fn taken_off(data: &Data, settings: &Settings) -> Result<Option<Data>, IdentifyError> {
-    let found = identify_held(data, &data.training, settings, &|_| {})?;
-    let excited_hz = excited_hz(found.spectrum.as_ref(), data.period_s);
+    let found = Found::of(data, settings, &|_| {})?;
+    let excited_hz = found.excited_hz;
     let mut orders = Settings { choice: settings.choice.of_orders(found.orders), ..settings.clone() };
-    let own = |found: &Identification| Some(found.model(Role::Refined)?.continuous.as_ref()?.model.clone());
+    let own = |found: &Found| Continuous::of(&found.refined()?.estimated.model, data.period_s);
     let Some(mut last) = own(&found) else { return Ok(None) };
     for pass in 1..=MAX_PASSES {
         let Some(answer) = Answer::of(&last, data.period_s) else { break };
         let without = answer.taken_off_all(data);
-        let Ok(found) = identify_held(&without, &data.training, &orders, &|_| {}) else { break };
+        let Ok(found) = Found::of(&without, &orders, &|_| {}) else { break };
         let Some(next) = own(&found) else { break };
         if is_settled(&last, &next, excited_hz) {
             return Ok(Some(without));
         }
-        if let (2, Ok(refined)) = (pass, &found.refined) {
+        if let (2, Some(refined)) = (pass, found.refined()) {
             // Two delays that explain the data about as well must not alternate.
             orders.choice = Choice::Fixed(Orders { nk: refined.estimated.model.nk, ..found.orders });
         }
         last = next;
     }
     Ok(None)
+}
+
+/// The models, and what they were found in.
+struct Found {
+    /// The records fitted, as they begin, and their segments.
+    records: Vec<Record>,
+    training: Vec<Segment>,
+    candidates: Vec<Candidate>,
+    criterion: Option<Criterion>,
+    best: Orders,
+    orders: Orders,
+    arx: Estimated,
+    full: Option<Refined>,
+    spectrum: Option<Spectrum>,
+    excited_hz: (f64, f64),
+    taken: Attempt,
+}
+
+impl Found {
+    /// The first three steps, with inputs that are held between samples.
+    fn of(data: &Data, settings: &Settings, progress: &dyn Fn(&str)) -> Result<Self, IdentifyError> {
+        let mut records = data.training.clone();
+        if settings.initial_state == InitialState::Estimated {
+            // Also for fitting, not only for comparing simulations, the initial state is unknown.
+            records.iter_mut().flat_map(|record| &mut record.segments).for_each(|segment| segment.from_rest = false);
+        }
+        let (training, validation) = (segments_of(&records), segments_of(&data.validation));
+        moves(&data.training)?;
+        can_judge(&validation, &settings.choice)?;
+        repeats(data, settings)?;
+        // 1. orders and delay
+        progress("searching orders and delay");
+        let Chosen { candidates, criterion, orders: best } = choose(&training, &validation, settings)?;
+        // 2. the full model
+        progress("fitting the full model");
+        let (orders, arx, full) = fit_full(&training, &candidates, criterion, best, settings.estimator)?;
+        let spectrum = spectrum(&training, data.period_s);
+        let excited_hz = spectrum.as_ref().map_or((0.0, 0.5 / data.period_s), |spectrum| spectrum.excited_hz);
+        // 3. fewer states, and the same order fitted to the data itself
+        let excited = (angle(excited_hz.0, data.period_s), angle(excited_hz.1, data.period_s));
+        let band = (!settings.all_frequencies).then_some(excited);
+        let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
+        let delays = delays(&settings.choice);
+        let attempt = |target: Target| {
+            progress("fitting the refined model");
+            Attempt::of(&training, estimated, Reduction { target, removal: settings.removal, band }, excited, &delays)
+        };
+        let mut taken = attempt(settings.target);
+        if settings.target == Target::Auto
+            && let Some(order) = lower_order(&training, &taken)
+        {
+            taken = attempt(Target::Order(order));
+        }
+        Ok(Self { records, training, candidates, criterion, best, orders, arx, full, spectrum, excited_hz, taken })
+    }
+
+    fn refined(&self) -> Option<&Refined> {
+        self.taken.refined.as_ref().ok().map(|found| &found.refined)
+    }
+}
+
+/// A lower order than the refined model's with which the data are explained about as well.
+fn lower_order(training: &[Segment], taken: &Attempt) -> Option<usize> {
+    let found = taken.refined.as_ref().ok().filter(|_| !has_noise_of_output(training))?;
+    other_orders::lowest(training, &found.refined)
 }
 
 /// Identifies with inputs that are held between samples. `measured`: the records to be fitted, with their outputs as
@@ -96,54 +163,24 @@ fn identify_held(
     settings: &Settings,
     progress: &dyn Fn(&str),
 ) -> Result<Identification, IdentifyError> {
-    let mut records = data.training.clone();
-    if settings.initial_state == InitialState::Estimated {
-        // Also for fitting, not only for comparing simulations, the initial state is unknown.
-        records.iter_mut().flat_map(|record| &mut record.segments).for_each(|segment| segment.from_rest = false);
-    }
-    let (training, validation) = (segments_of(&records), segments_of(&data.validation));
-    moves(&data.training)?;
-    can_judge(&validation, &settings.choice)?;
-    repeats(data, settings)?;
-    // 1. orders and delay
-    progress("searching orders and delay");
-    let Chosen { candidates, criterion, orders: best } = choose(&training, &validation, settings)?;
-    // 2. the full model
-    progress("fitting the full model");
-    let (orders, arx, full) = fit_full(&training, &candidates, criterion, best, settings.estimator)?;
+    let found = Found::of(data, settings, progress)?;
+    let Found { records, training, candidates, criterion, best, orders, arx, full, spectrum, excited_hz, taken } =
+        found;
     let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
-    let spectrum = spectrum(&training, data.period_s);
-    let excited_hz = excited_hz(spectrum.as_ref(), data.period_s);
-    let excited = (angle(excited_hz.0, data.period_s), angle(excited_hz.1, data.period_s));
     let modelled = |role, title, model: &Polynomials, covariance| {
         Modelled::new(role, title, model.clone(), covariance, data.period_s, excited_hz)
     };
     let title = format!("{}, order {}", settings.estimator.words(), estimated.model.na());
     let mut models = vec![modelled(Role::Full, title, &estimated.model, Some(estimated.covariance.clone()))];
-    // 3. fewer states
-    let band = (!settings.all_frequencies).then_some(excited);
     let of_output = has_noise_of_output(&training);
-    let delays = delays(&settings.choice);
-    let attempt = |target: Target| {
-        progress("fitting the refined model");
-        Attempt::of(&training, estimated, Reduction { target, removal: settings.removal, band }, excited, &delays)
-    };
-    let mut taken = attempt(settings.target);
-    let mut lower_order = match &taken.refined {
-        Ok(found) if !of_output => other_orders::lowest(&training, &found.refined),
-        _ => None,
-    };
-    if let (Target::Auto, Some(order)) = (settings.target, lower_order) {
-        taken = attempt(Target::Order(order));
-        lower_order = None;
-    }
+    let lower_order = if settings.target == Target::Auto { None } else { lower_order(&training, &taken) };
     let Attempt { how, unstable_in_band, reduced, refined: found } = taken;
     if let Ok(reduced) = &reduced {
         let covariance = reduced_covariance(estimated, reduced, how);
         let title = format!("reduced, order {}", reduced.model.order());
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
     }
-    // 4. the same order fitted to the data itself
+    // 4. the refined model, and what speaks against its σ
     let (refined, other_delays, earlier_delay) = match found {
         Ok(found) => (Ok(found.refined), found.others, found.earlier.filter(|_| !of_output)),
         Err(why) => (Err(why), Vec::new(), None),
@@ -151,7 +188,7 @@ fn identify_held(
     let mut objections = Objections::default();
     if let Ok(refined) = &refined {
         let Estimated { model, covariance, .. } = &refined.estimated;
-        let shortest = delays.first().copied().unwrap_or(model.nk);
+        let shortest = delays(&settings.choice).first().copied().unwrap_or(model.nk);
         objections = Objections::to(refined, &training, estimated, settings, shortest, earlier_delay.is_some());
         let title = format!("refined, order {}", model.order());
         models.push(modelled(Role::Refined, title, model, objections.is_sound.then(|| covariance.clone())));
@@ -231,11 +268,6 @@ fn identify_held(
     };
     done.diagnostics = diagnostics(data, &done, settings);
     Ok(done)
-}
-
-/// The frequencies that inputs excite, hertz: all, where that is not known.
-fn excited_hz(spectrum: Option<&Spectrum>, period_s: f64) -> (f64, f64) {
-    spectrum.map_or((0.0, 0.5 / period_s), |spectrum| spectrum.excited_hz)
 }
 
 /// The delays that may be chosen, rising.
